@@ -1,0 +1,209 @@
+"""The contracts between rooms: what a body senses, what the policy observes, what it commands, and who navigates.
+
+Frames of reference follow REP-103 (x forward, y left, z up, radians counter-clockwise): `_w` is the world, `_odom` the
+robot's odometry frame, `_r` the robot. All arrays are batched, [B, ...], with B = 1 on a real robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
+
+
+@dataclass(frozen=True)
+class LidarConfig:
+    """A planar scanner. The default is the paper's Hokuyo: 240 degrees, 512 ranges, 4 m (paper, Implementation)."""
+
+    num_rays: int = 512
+    fov_rad: float = math.radians(240.0)
+    max_range_m: float = 4.0
+    mount_height_m: float = 0.26
+
+    def __post_init__(self) -> None:
+        require(self.num_rays >= 2, "LidarConfig.num_rays", self.num_rays, "at least 2")
+        require(0 < self.fov_rad <= 2 * math.pi, "LidarConfig.fov_rad", self.fov_rad, "in (0, 2 pi]")
+        require(self.max_range_m > 0, "LidarConfig.max_range_m", self.max_range_m, "positive")
+        require(self.mount_height_m > 0, "LidarConfig.mount_height_m", self.mount_height_m, "positive")
+
+    @property
+    def angles_rad(self) -> Float[np.ndarray, "rays"]:
+        """Bearing of each ray in the robot frame, counter-clockwise from -fov/2."""
+        return np.linspace(-self.fov_rad / 2, self.fov_rad / 2, self.num_rays)
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """A level, forward-looking depth camera. The default is the paper's Orbbec Astra at the policy's resolution."""
+
+    width: int = 80
+    height: int = 60
+    fov_horizontal_rad: float = math.radians(60.0)
+    fov_vertical_rad: float = math.radians(49.5)
+    min_range_m: float = 1.4
+    max_range_m: float = 5.0
+    mount_height_m: float = 0.40
+
+    def __post_init__(self) -> None:
+        require(self.width >= 2 and self.height >= 2, "CameraConfig size", (self.width, self.height), "at least 2 x 2")
+        for name in ("fov_horizontal_rad", "fov_vertical_rad"):
+            require(0 < getattr(self, name) < math.pi, f"CameraConfig.{name}", getattr(self, name), "in (0, pi)")
+        require(
+            0 <= self.min_range_m < self.max_range_m,
+            "CameraConfig ranges",
+            (self.min_range_m, self.max_range_m),
+            "0 <= min_range_m < max_range_m",
+        )
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """Focal lengths (horizontal, vertical) in pixels."""
+        return (
+            self.width / 2 / math.tan(self.fov_horizontal_rad / 2),
+            self.height / 2 / math.tan(self.fov_vertical_rad / 2),
+        )
+
+    @property
+    def column_slopes(self) -> Float[np.ndarray, "width"]:
+        """y / x of the ray through the centre of each column (left positive, column 0 is the leftmost)."""
+        return (self.width / 2 - (np.arange(self.width) + 0.5)) / self.focal_px[0]
+
+    @property
+    def row_slopes(self) -> Float[np.ndarray, "height"]:
+        """z / x of the ray through the centre of each row (up positive, row 0 is the topmost)."""
+        return (self.height / 2 - (np.arange(self.height) + 0.5)) / self.focal_px[1]
+
+
+@dataclass(frozen=True)
+class RobotConfig:
+    """A differential-drive robot. The default is the paper's Turtlebot 2 with its speed limits."""
+
+    radius_m: float = 0.18
+    height_m: float = 0.80
+    """Surfaces that begin above this height pass overhead; everything lower can be hit (table tops are)."""
+    max_linear_velocity: float = 1.0
+    """m/s; the least is 0, the robot does not reverse (paper, Network Architecture)."""
+    max_angular_velocity: float = 0.4
+    """rad/s, either way (paper, Network Architecture)."""
+    max_linear_acceleration: float = 1.0
+    """m/s2, used with `dynamic` (Kobuki)."""
+    max_angular_acceleration: float = 3.5
+    """rad/s2, used with `dynamic` (Kobuki)."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            require(value > 0 and math.isfinite(value), f"RobotConfig.{name}", value, "positive and finite")
+
+
+class People(NamedTuple):
+    """Ground truth about everybody in each world. Slots that are not `active` hold no meaning."""
+
+    pos_w: Float32[np.ndarray, "B P 2"]
+    vel_w: Float32[np.ndarray, "B P 2"]
+    radius_m: Float32[np.ndarray, "B P"]
+    height_m: Float32[np.ndarray, "B P"]
+    active: Bool[np.ndarray, "B P"]
+    id: Int32[np.ndarray, "B P"]
+    """Stays with a person for as long as the episode lasts, whatever slot they are in."""
+
+
+class Truth(NamedTuple):
+    """What only a simulator knows. A navigator that reads it is `privileged` and says so in every table."""
+
+    robot_pose_w: Float[np.ndarray, "B 3"]
+    people: People
+
+
+@dataclass(frozen=True)
+class SensorFrame:
+    """All that a body senses at one instant. The body may reuse the arrays: copy what must outlast the next frame."""
+
+    time_s: Float[np.ndarray, "B"]
+    scan_m: Float32[np.ndarray, "B rays"]
+    """Ranges in the order of `LidarConfig.angles_rad`; +inf where nothing is in range (REP-117)."""
+    depth_m: Float32[np.ndarray, "B height width"]
+    """Distance along the optical axis; NaN where there is none. Row 0 is the top, column 0 the left."""
+    odom_pose: Float[np.ndarray, "B 3"]
+    """x, y, yaw of the robot in the odometry frame."""
+    velocity: Float32[np.ndarray, "B 2"]
+    """Measured linear (m/s) and angular (rad/s) velocity."""
+    goal_odom: Float[np.ndarray, "B 2"]
+    truth: Truth | None = None
+
+    @property
+    def num_worlds(self) -> int:
+        return self.scan_m.shape[0]
+
+
+class Observation(NamedTuple):
+    """The policy's input, o = [lidar, camera, goal, velocity, prediction] (paper, Section III-A)."""
+
+    lidar: Float32[np.ndarray, "B 3 rays"]
+    """Three consecutive scans, oldest first, as fractions of the greatest range (1 where nothing is in range)."""
+    camera: UInt8[np.ndarray, "B height width"]
+    """Nearness of the depth image: 255 at the camera's least range, 1 at its greatest, 0 where there is no depth."""
+    goal: Float32[np.ndarray, "B 2"]
+    """Distance (m) and bearing (rad, left positive) of the goal in the robot frame."""
+    velocity: Float32[np.ndarray, "B 2"]
+    """Linear (m/s) and angular (rad/s) velocity."""
+    prediction: UInt8[np.ndarray, "B height width"]
+    """The prediction frame: 0 (black) where a person is expected, 255 (white) elsewhere."""
+
+
+class Command(NamedTuple):
+    """What the wheels should do until the next command."""
+
+    linear_velocity: Float32[np.ndarray, "B"]
+    angular_velocity: Float32[np.ndarray, "B"]
+
+
+@runtime_checkable
+class Navigator(Protocol):
+    """Everything between sensors and wheels. Batched; keeps whatever memory it needs for each world."""
+
+    name: str
+    privileged: bool
+    """Whether it reads `SensorFrame.truth`."""
+
+    def reset(self, which: Bool[np.ndarray, "B"]) -> None:
+        """Forget the episodes of the worlds marked in `which`; its length sets the batch size."""
+        ...
+
+    def act(self, frame: SensorFrame) -> Command:
+        """The command for each world of the frame."""
+        ...
+
+
+def require(condition: bool | np.bool_, name: str, value: object, expected: str) -> None:
+    """Raises ValueError naming the argument, its value and what was expected, unless the condition holds."""
+    if not condition:
+        raise ValueError(f"{name} is {value!r}, expected {expected}")
+
+
+def wrap_angle(angle_rad: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """The same angle in [-pi, pi)."""
+    return (angle_rad + np.pi) % (2 * np.pi) - np.pi
+
+
+def goal_polar(
+    pose: Float[np.ndarray, "B 3"], goal: Float[np.ndarray, "B 2"]
+) -> tuple[Float[np.ndarray, "B"], Float[np.ndarray, "B"]]:
+    """Distance (m) and bearing (rad) of a goal seen from poses in the same frame."""
+    offset = goal - pose[:, :2]
+    return np.hypot(offset[:, 0], offset[:, 1]), wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - pose[:, 2])
+
+
+def choose(name: str, value: str, known: Sequence[str]) -> str:
+    """`value`, if it is one of `known`.
+
+    Raises:
+        ValueError: naming what was asked for and what there is.
+    """
+    if value not in known:
+        raise ValueError(f"unknown {name} {value!r}, expected one of: {', '.join(known)}")
+    return value

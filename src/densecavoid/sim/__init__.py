@@ -1,0 +1,1 @@
+"""The world: batched, structure-of-arrays, Numba; no learning in it."""

@@ -1,0 +1,65 @@
+"""How hot loops are compiled and spread over threads: one cache for all kernels, one pool for all batches."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+
+import numba
+
+
+def _cache_folder() -> Path:
+    """Where compiled kernels are kept: one place a user, a folder for each version of the package's source.
+
+    Numba looks only at a kernel's own file to see whether it changed, not at the files of the kernels it calls.
+    """
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    package = Path(__file__).resolve().parents[1]
+    source = hashlib.sha256()
+    for room in ("sim", "scenarios", "perception", "env"):
+        for path in sorted((package / room).rglob("*.py")):
+            source.update(path.read_bytes())
+    return Path(base) / "densecavoid" / f"kernels-{source.hexdigest()[:16]}"
+
+
+if not os.environ.get("NUMBA_CACHE_DIR"):
+    numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+
+# NaN and infinity keep their meaning: rays that meet nothing are infinite, pixels without depth are NaN.
+_FASTMATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
+
+
+def kernel(function: Callable) -> Callable:
+    """Compiles `function` for threads (it runs without the interpreter lock), with the result cached on disk."""
+    return numba.njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")(function)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="densecavoid")
+
+
+def available_threads() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def for_worlds(function: Callable, num_worlds: int, threads: int, *args: object) -> None:
+    """Runs `function(first, last, *args)` over all worlds, split evenly among `threads`.
+
+    Worlds share nothing that is written, so the result does not depend on the number of threads.
+    """
+    threads = min(threads or available_threads(), num_worlds)
+    if threads <= 1:
+        function(0, num_worlds, *args)
+        return
+    bounds = [num_worlds * i // threads for i in range(threads + 1)]
+    jobs = [_pool(threads - 1).submit(function, first, last, *args) for first, last in itertools.pairwise(bounds[1:])]
+    function(bounds[0], bounds[1], *args)
+    for job in jobs:
+        job.result()

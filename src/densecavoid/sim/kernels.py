@@ -1,0 +1,240 @@
+"""The loops over worlds: one control step, and one look through the sensors. All maths is in the neighbouring files."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from densecavoid.sim._jit import kernel
+from densecavoid.sim.crowds.recorded import follow_recording
+from densecavoid.sim.crowds.scripted import intend_scripted
+from densecavoid.sim.crowds.steering import move_people
+from densecavoid.sim.depth import render_depth
+from densecavoid.sim.geometry import (
+    BOX_HALF_LENGTH,
+    BOX_HALF_WIDTH,
+    BOX_X,
+    BOX_Y,
+    BOX_Z_MIN,
+    CYL_RADIUS,
+    CYL_Z_MIN,
+    disc_offset,
+    rectangle_offset,
+)
+from densecavoid.sim.lidar import scan
+from densecavoid.sim.people import ABSENT, PARTS, STANDING, place_body, remove_body
+from densecavoid.sim.robot import drive, limit_change
+
+_FAULT_SPEED = 0.1  # m/s towards the person in the last .5 s (BENCHMARK, Real crowds)
+
+
+@kernel
+def place_bodies(state, b):
+    """Puts the cylinders of everybody in world b where they are now."""
+    for i in range(state.pos.shape[1]):
+        parts = state.cylinders[b, PARTS * i : PARTS * (i + 1)]
+        if state.behaviour[b, i] == ABSENT:
+            remove_body(parts)
+            continue
+        vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
+        place_body(
+            parts,
+            state.pos[b, i, 0],
+            state.pos[b, i, 1],
+            state.heading[b, i],
+            math.sqrt(vx * vx + vy * vy),
+            state.phase[b, i],
+            state.radius[b, i],
+            state.height[b, i],
+        )
+
+
+@kernel
+def nearest_surfaces(state, b, x, y, top):
+    """Distances from a point to the nearest surface that begins below `top`, and to the nearest person's.
+
+    Returns:
+        (distance to anything, distance to a person, that person's slot or -1); inf where there is none.
+    """
+    nearest, nearest_person, slot = np.inf, np.inf, -1
+    people_parts = PARTS * state.pos.shape[1]
+    for k in range(state.num_cylinders[b]):
+        cylinder = state.cylinders[b, k]
+        if cylinder[CYL_RADIUS] <= 0.0 or cylinder[CYL_Z_MIN] >= top:
+            continue
+        distance, _, _ = disc_offset(x, y, cylinder)
+        nearest = min(nearest, distance)
+        if k < people_parts and distance < nearest_person:
+            nearest_person, slot = distance, k // PARTS
+    for k in range(state.num_boxes[b]):
+        box = state.boxes[b, k]
+        reach = box[BOX_HALF_LENGTH] + box[BOX_HALF_WIDTH] + nearest
+        if box[BOX_Z_MIN] >= top or abs(x - box[BOX_X]) > reach or abs(y - box[BOX_Y]) > reach:
+            continue
+        distance, _, _ = rectangle_offset(x, y, box)
+        nearest = min(nearest, distance)
+    return nearest, nearest_person, slot
+
+
+@kernel
+def _appear(state, b, time_s):
+    """Lets the waiting people of world b stand across the robot's way, once it has come far enough."""
+    x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
+    if math.hypot(x - state.start_pose[b, 0], y - state.start_pose[b, 1]) < state.trigger_distance[b]:
+        return
+    ahead = 0.0
+    for i in range(state.pos.shape[1]):
+        if state.person_id[b, i] >= 0:
+            reach = state.appear_distance[b] + state.radius[b, i]
+            aside = state.pos[b, i, 1] - y
+            if abs(aside) < reach:
+                ahead = max(ahead, math.sqrt(reach * reach - aside * aside))
+    for i in range(state.pos.shape[1]):
+        if state.person_id[b, i] >= 0:
+            state.pos[b, i, 0] = x + ahead
+            state.behaviour[b, i] = STANDING
+            state.heading[b, i] = math.pi
+    state.spawn_time[b], state.spawn_line_x[b] = time_s, x + ahead
+
+
+@kernel
+def _move_crowd(state, b, recordings, sub_step, replay_reactive, robot_radius, dt):
+    intended = np.zeros((state.pos.shape[1], 2))
+    if state.recording[b] >= 0:
+        follow_recording(state, b, recordings, sub_step, replay_reactive[b], intended, dt)
+        if not replay_reactive[b]:
+            return
+    else:
+        intend_scripted(state, b, intended, dt)
+    move_people(state, b, intended, robot_radius, dt)
+
+
+@kernel
+def _at_fault(state, b, slot):
+    """Whether the robot moved towards the person it hit in the last half second."""
+    off_x = state.pos[b, slot, 0] - state.robot_pose[b, 0]
+    off_y = state.pos[b, slot, 1] - state.robot_pose[b, 1]
+    distance = max(math.hypot(off_x, off_y), 1e-6)
+    for k in range(state.trail.shape[1]):
+        cos, sin, speed = state.trail[b, k]
+        if speed * (cos * off_x + sin * off_y) / distance > _FAULT_SPEED:
+            return True
+    return False
+
+
+@kernel
+def advance(
+    first,
+    last,
+    state,
+    recordings,
+    replay_reactive,
+    command,
+    dynamic,
+    max_linear_acc,
+    max_angular_acc,
+    robot_radius,
+    robot_height,
+    sub_steps,
+    dt,
+):
+    """One control step of `sub_steps` x `dt` s for worlds first to last - 1; ends early at a collision or the goal."""
+    for b in range(first, last):
+        if dynamic:
+            linear, angular = state.pending_command[b]
+            state.pending_command[b] = command[b]
+        else:
+            linear, angular = command[b]
+        state.clearance_m[b], state.clearance_people_m[b] = np.inf, np.inf
+        pose, velocity = state.robot_pose[b], state.robot_velocity[b]
+        trail = state.trail[b]
+        nearest_person, slot = np.inf, -1
+        for s in range(sub_steps):
+            tick = state.step_count[b] * sub_steps + s + 1
+            _move_crowd(state, b, recordings, tick, replay_reactive, robot_radius, dt)
+            if dynamic:
+                velocity[0] = limit_change(velocity[0], linear, max_linear_acc * dt)
+                velocity[1] = limit_change(velocity[1], angular, max_angular_acc * dt)
+            else:
+                velocity[0], velocity[1] = linear, angular
+            drive(pose, velocity[0], velocity[1], dt)
+            if state.trigger_distance[b] < np.inf and np.isnan(state.spawn_time[b]):
+                _appear(state, b, tick * dt)
+            place_bodies(state, b)
+            nearest, nearest_person, slot = nearest_surfaces(state, b, pose[0], pose[1], robot_height)
+            state.clearance_m[b] = min(state.clearance_m[b], nearest)
+            state.clearance_people_m[b] = min(state.clearance_people_m[b], nearest_person)
+            if nearest < state.collision_distance_m[b]:
+                state.collided[b] = True
+                break
+            off_x, off_y = state.goal[b, 0] - pose[0], state.goal[b, 1] - pose[1]
+            if off_x * off_x + off_y * off_y < state.goal_distance_m[b] ** 2:
+                break
+        for k in range(trail.shape[0] - 1):
+            trail[k] = trail[k + 1]
+        trail[-1, 0], trail[-1, 1], trail[-1, 2] = math.cos(pose[2]), math.sin(pose[2]), velocity[0]
+        if state.collided[b] and nearest_person < state.collision_distance_m[b]:
+            state.collided_person[b] = slot
+            state.fault[b] = _at_fault(state, b, slot)
+        state.step_count[b] += 1
+
+
+@kernel
+def begin(first, last, state, recordings, replay_reactive, which, robot_height, dt):
+    """Brings worlds that were just filled to their first instant: recorded people in place, bodies, clearances."""
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        if state.recording[b] >= 0:
+            intended = np.zeros((state.pos.shape[1], 2))
+            follow_recording(state, b, recordings, 0, replay_reactive[b], intended, dt)
+        place_bodies(state, b)
+        x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
+        state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height)
+
+
+@kernel
+def sense(
+    first,
+    last,
+    state,
+    which,
+    scans,
+    images,
+    scratch,
+    ray_x,
+    ray_y,
+    lidar_fov,
+    lidar_range,
+    lidar_height,
+    column_slope,
+    row_slope,
+    camera_min,
+    camera_max,
+    camera_height,
+    ceiling,
+):
+    """Lidar scans [B, rays] and depth images [B, height, width] of the worlds marked in `which`."""
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        x, y, yaw = state.robot_pose[b]
+        boxes = state.boxes[b, : state.num_boxes[b]]
+        cylinders = state.cylinders[b, : state.num_cylinders[b]]
+        scan(scans[b], ray_x, ray_y, lidar_fov, lidar_range, lidar_height, x, y, yaw, boxes, cylinders)
+        render_depth(
+            images[b],
+            scratch[b],
+            column_slope,
+            row_slope,
+            camera_min,
+            camera_max,
+            camera_height,
+            ceiling,
+            x,
+            y,
+            yaw,
+            boxes,
+            cylinders,
+        )

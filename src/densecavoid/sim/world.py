@@ -1,0 +1,401 @@
+"""The simulator: B worlds reset from a scenario, stepped by commands, and seen through a lidar and a depth camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from densecavoid.frames import (
+    CameraConfig,
+    Command,
+    LidarConfig,
+    People,
+    RobotConfig,
+    SensorFrame,
+    Truth,
+    choose,
+    require,
+)
+from densecavoid.sim import kernels
+from densecavoid.sim._jit import for_worlds
+from densecavoid.sim.crowds.recorded import Recordings, no_recordings
+from densecavoid.sim.crowds.recording import Recording
+from densecavoid.sim.floorplan import WALL_HEIGHT_M, FloorPlan
+from densecavoid.sim.people import ABSENT, PARTS, STANDING
+from densecavoid.sim.spec import Scenario, WorldSpec
+from densecavoid.sim.state import WorldState, allocate, capacity, with_room
+
+
+@dataclass(frozen=True)
+class SimConfig:
+    """The body and the clock (BENCHMARK, The robot and the clock)."""
+
+    lidar: LidarConfig = field(default_factory=LidarConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    dynamics: Literal["ideal", "dynamic"] = "ideal"
+    """ideal: commands take effect at once. dynamic: acceleration limits and one control step of delay."""
+    sensors: Literal["clean"] = "clean"
+    """clean: exact sensors."""
+    people: Literal["scripted", "reactive"] = "scripted"
+    """scripted: nobody notices the robot (the paper's people). reactive: everybody makes way for it."""
+    control_dt_s: float = 0.1
+    physics_dt_s: float = 0.05
+    threads: int = 0
+    """Threads over the worlds; 0 takes all cores."""
+
+    def __post_init__(self) -> None:
+        choose("SimConfig.dynamics", self.dynamics, ("ideal", "dynamic"))
+        choose("SimConfig.sensors", self.sensors, ("clean",))
+        choose("SimConfig.people", self.people, ("scripted", "reactive"))
+        require(0 < self.physics_dt_s <= 0.05, "SimConfig.physics_dt_s", self.physics_dt_s, "in (0, 0.05] s")
+        ratio = self.control_dt_s / self.physics_dt_s
+        require(
+            ratio >= 1 and abs(ratio - round(ratio)) < 1e-9,
+            "SimConfig.control_dt_s",
+            self.control_dt_s,
+            f"a multiple of physics_dt_s = {self.physics_dt_s}",
+        )
+        require(self.threads >= 0, "SimConfig.threads", self.threads, "0 (all cores) or more")
+
+    @property
+    def sub_steps(self) -> int:
+        """Physics steps a control step."""
+        return round(self.control_dt_s / self.physics_dt_s)
+
+
+class Simulator:
+    """B independent worlds in step. A world's course depends on its scenario, its seed and its commands alone."""
+
+    def __init__(self, scenario: Scenario, num_worlds: int, config: SimConfig | None = None) -> None:
+        """Makes empty worlds; `reset` fills them.
+
+        Args:
+            scenario: where worlds are drawn from; may be exchanged later, for the worlds reset after that.
+            num_worlds: B.
+
+        Raises:
+            ValueError: if `num_worlds` is not positive.
+        """
+        require(num_worlds >= 1, "num_worlds", num_worlds, "at least 1")
+        self.scenario = scenario
+        self.num_worlds = num_worlds
+        self.config = config or SimConfig()
+        self.scenario_name = [""] * num_worlds
+        self._state = allocate(num_worlds, 0, 0, 0, 0)
+        self._recordings = no_recordings()
+        self._known_recordings: list[Recording] = []
+        self._replay_reactive = np.zeros(num_worlds, np.bool_)
+        lidar, camera = self.config.lidar, self.config.camera
+        self._ray_x = np.cos(lidar.angles_rad).astype(np.float32)
+        self._ray_y = np.sin(lidar.angles_rad).astype(np.float32)
+        self._column_slope = camera.column_slopes.astype(np.float32)
+        self._row_slope = camera.row_slopes.astype(np.float32)
+        self._scan = np.full((num_worlds, lidar.num_rays), np.inf, np.float32)
+        self._depth = np.full((num_worlds, camera.height, camera.width), np.nan, np.float32)
+        self._depth_scratch = np.zeros((num_worlds, camera.width, camera.height), np.float32)
+
+    # -- the episode ---------------------------------------------------------------------------------------------------
+
+    def reset(self, seeds: Int[np.ndarray, "B"], which: Bool[np.ndarray, "B"] | None = None) -> None:
+        """Draws a new world for each marked one (all, without `which`) from (scenario, its seed)."""
+        require(
+            len(seeds) == self.num_worlds, "seeds", f"{len(seeds)} long", f"one for each of {self.num_worlds} worlds"
+        )
+        which = np.ones(self.num_worlds, np.bool_) if which is None else which
+        for b in np.flatnonzero(which):
+            rng = np.random.default_rng(int(seeds[b]))
+            self._fill(int(b), self.scenario.spawn(rng), rng)
+        self._run(
+            kernels.begin,
+            self._recordings,
+            self._replay_reactive,
+            which,
+            self.config.robot.height_m,
+            self.config.physics_dt_s,
+        )
+
+    def step(self, command: Command) -> None:
+        """Carries out a command for one control step. Velocities are limited to the robot's.
+
+        Raises:
+            ValueError: if a velocity is NaN or infinite, or the batch has the wrong size.
+        """
+        robot = self.config.robot
+        velocities = np.stack([command.linear_velocity, command.angular_velocity], axis=1).astype(np.float64)
+        require(velocities.shape == (self.num_worlds, 2), "command", velocities.shape, f"({self.num_worlds}, 2)")
+        require(bool(np.isfinite(velocities).all()), "command", velocities, "finite velocities")
+        velocities[:, 0] = np.clip(velocities[:, 0], 0.0, robot.max_linear_velocity)
+        velocities[:, 1] = np.clip(velocities[:, 1], -robot.max_angular_velocity, robot.max_angular_velocity)
+        self._run(
+            kernels.advance,
+            self._recordings,
+            self._replay_reactive,
+            velocities,
+            self.config.dynamics == "dynamic",
+            robot.max_linear_acceleration,
+            robot.max_angular_acceleration,
+            robot.radius_m,
+            robot.height_m,
+            self.config.sub_steps,
+            self.config.physics_dt_s,
+        )
+
+    def sense(self, which: Bool[np.ndarray, "B"] | None = None) -> SensorFrame:
+        """What the sensors give now. Worlds not marked in `which` keep their last scan and image."""
+        lidar, camera = self.config.lidar, self.config.camera
+        which = np.ones(self.num_worlds, np.bool_) if which is None else which
+        self._run(
+            kernels.sense,
+            which,
+            self._scan,
+            self._depth,
+            self._depth_scratch,
+            self._ray_x,
+            self._ray_y,
+            lidar.fov_rad,
+            np.float32(lidar.max_range_m),
+            lidar.mount_height_m,
+            self._column_slope,
+            self._row_slope,
+            np.float32(camera.min_range_m),
+            np.float32(camera.max_range_m),
+            camera.mount_height_m,
+            WALL_HEIGHT_M,
+        )
+        return SensorFrame(
+            time_s=self.time_s,
+            scan_m=self._scan,
+            depth_m=self._depth,
+            odom_pose=self.robot_pose,
+            velocity=self.robot_velocity.astype(np.float32),
+            goal_odom=self.goal,
+            truth=Truth(self.robot_pose, self.people()),
+        )
+
+    # -- what happened -------------------------------------------------------------------------------------------------
+
+    @property
+    def time_s(self) -> Float[np.ndarray, "B"]:
+        """Since the start of each episode."""
+        return self._state.step_count * self.config.control_dt_s
+
+    @property
+    def robot_pose(self) -> Float[np.ndarray, "B 3"]:
+        return self._state.robot_pose
+
+    @property
+    def robot_velocity(self) -> Float[np.ndarray, "B 2"]:
+        return self._state.robot_velocity
+
+    @property
+    def start_pose(self) -> Float[np.ndarray, "B 3"]:
+        return self._state.start_pose
+
+    @property
+    def goal(self) -> Float[np.ndarray, "B 2"]:
+        return self._state.goal
+
+    @property
+    def goal_distance_m(self) -> Float[np.ndarray, "B"]:
+        """From the robot's centre to the goal."""
+        offset = self._state.goal - self._state.robot_pose[:, :2]
+        return np.hypot(offset[:, 0], offset[:, 1])
+
+    @property
+    def waypoints(self) -> tuple[Float[np.ndarray, "B W 2"], Int[np.ndarray, "B"]]:
+        """Places on the way, and how many of them each world has."""
+        return self._state.waypoints, self._state.num_waypoints
+
+    @property
+    def time_limit_s(self) -> Float[np.ndarray, "B"]:
+        return self._state.time_limit_s
+
+    @property
+    def clearance_m(self) -> Float[np.ndarray, "B"]:
+        """Least distance from the robot's centre to any surface during the last control step."""
+        return self._state.clearance_m
+
+    @property
+    def clearance_people_m(self) -> Float[np.ndarray, "B"]:
+        """The same to people's bodies; inf where there is nobody."""
+        return self._state.clearance_people_m
+
+    @property
+    def collided(self) -> Bool[np.ndarray, "B"]:
+        return self._state.collided
+
+    @property
+    def collided_person(self) -> Int[np.ndarray, "B"]:
+        """Slot of the person the robot collided with; -1 for a thing or no collision."""
+        return self._state.collided_person
+
+    @property
+    def fault(self) -> Bool[np.ndarray, "B"]:
+        """Collided with a person while the robot moved towards them (BENCHMARK, Real crowds)."""
+        return self._state.fault
+
+    @property
+    def succeeded(self) -> Bool[np.ndarray, "B"]:
+        return (self.goal_distance_m < self._state.goal_distance_m) & ~self._state.collided
+
+    @property
+    def timed_out(self) -> Bool[np.ndarray, "B"]:
+        late = self.time_s >= self._state.time_limit_s - 1e-9
+        return late & ~self._state.collided & ~self.succeeded
+
+    @property
+    def done(self) -> Bool[np.ndarray, "B"]:
+        return self._state.collided | self.succeeded | self.timed_out
+
+    @property
+    def spawn_time_s(self) -> Float[np.ndarray, "B"]:
+        """When people appeared suddenly; NaN where they have not."""
+        return self._state.spawn_time
+
+    @property
+    def spawn_line_x(self) -> Float[np.ndarray, "B"]:
+        """Where along x the people who appeared stand; NaN where they have not."""
+        return self._state.spawn_line_x
+
+    def people(self) -> People:
+        """Everybody, as they are."""
+        state = self._state
+        return People(
+            pos_w=state.pos.astype(np.float32),
+            vel_w=state.vel.astype(np.float32),
+            radius_m=state.radius.astype(np.float32),
+            height_m=state.height.astype(np.float32),
+            active=state.behaviour != ABSENT,
+            id=state.person_id.copy(),
+        )
+
+    def floor_plan(self, b: int) -> FloorPlan:
+        """What stands in world b, people left out."""
+        plan, state = FloorPlan(), self._state
+        for x, y, cos, sin, half_length, half_width, z_min, z_max in state.boxes[b, : state.num_boxes[b]].tolist():
+            plan.box(x, y, 2 * half_length, 2 * half_width, float(np.arctan2(sin, cos)), z_min, z_max)
+        for row in state.cylinders[b, PARTS * state.pos.shape[1] : state.num_cylinders[b]].tolist():
+            plan.pillar(*row)
+        return plan
+
+    def nearest_surface_m(self, b: int, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
+        """Distance from each point to the nearest surface in world b that the robot could hit."""
+        top = self.config.robot.height_m
+        return np.array([kernels.nearest_surfaces(self._state, b, x, y, top)[0] for x, y in points])
+
+    # -- saving --------------------------------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Everything that decides how the worlds go on, as arrays."""
+        arrays = {name: np.copy(value) for name, value in self._state._asdict().items()}
+        arrays["scenario_name"] = np.array(self.scenario_name)
+        arrays["replay_reactive"] = self._replay_reactive.copy()
+        return arrays
+
+    def load_state_dict(self, arrays: dict[str, np.ndarray]) -> None:
+        """Goes on from a `state_dict` of a simulator with as many worlds.
+
+        Raises:
+            ValueError: if the number of worlds differs, or a world replays a recording that this simulator has not met.
+        """
+        require(len(arrays["goal"]) == self.num_worlds, "saved worlds", len(arrays["goal"]), str(self.num_worlds))
+        latest = int(arrays["recording"].max())
+        require(latest < len(self._known_recordings), "saved recording", latest, "one that was loaded before")
+        self._state = WorldState(**{name: np.array(arrays[name]) for name in WorldState._fields})
+        self.scenario_name = [str(name) for name in arrays["scenario_name"]]
+        self._replay_reactive = np.array(arrays["replay_reactive"])
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _run(self, function, *args: object) -> None:
+        for_worlds(function, self.num_worlds, self.config.threads, self._state, *args)
+
+    def _fill(self, b: int, spec: WorldSpec, rng: np.random.Generator) -> None:
+        boxes, cylinders = spec.floor_plan.packed()
+        crowd = spec.crowd
+        self._state = with_room(self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints))
+        state = self._state
+        slots = capacity(state)[0]
+        self.scenario_name[b] = spec.scenario
+
+        state.robot_pose[b] = state.start_pose[b] = spec.start_pose
+        state.robot_velocity[b] = state.pending_command[b] = 0.0
+        state.trail[b] = 0.0
+        state.goal[b] = spec.goal
+        state.step_count[b] = 0
+        state.time_limit_s[b] = spec.time_limit_s
+        state.collision_distance_m[b] = spec.collision_distance_m
+        state.goal_distance_m[b] = spec.goal_distance_m
+        state.collided[b] = state.fault[b] = False
+        state.collided_person[b] = -1
+        state.num_waypoints[b] = len(spec.waypoints)
+        state.waypoints[b, : len(spec.waypoints)] = spec.waypoints
+
+        state.num_boxes[b] = len(boxes)
+        state.boxes[b, : len(boxes)] = boxes
+        state.num_cylinders[b] = PARTS * slots + len(cylinders)
+        state.cylinders[b, PARTS * slots : state.num_cylinders[b]] = cylinders
+
+        waits = spec.appearance is not None
+        state.behaviour[b] = ABSENT
+        state.person_id[b] = -1
+        there = slice(0, crowd.size)
+        state.pos[b, there], state.person_goal[b, there] = crowd.pos, crowd.goal
+        state.vel[b] = 0.0
+        heading = np.arctan2(crowd.goal[:, 1] - crowd.pos[:, 1], crowd.goal[:, 0] - crowd.pos[:, 0])
+        speed = np.where(crowd.behaviour == STANDING, 0.0, crowd.preferred_speed)
+        state.heading[b, there] = heading
+        state.vel[b, there] = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        state.preferred_speed[b, there] = crowd.preferred_speed
+        state.radius[b, there], state.height[b, there] = crowd.radius_m, crowd.height_m
+        state.phase[b, there] = rng.uniform(0.0, 2 * np.pi, crowd.size)
+        state.person_id[b, there] = np.arange(crowd.size)
+        if not waits:
+            state.behaviour[b, there] = crowd.behaviour
+        state.notices_robot[b] = self.config.people == "reactive"
+        state.wander_area[b] = crowd.wander_area
+        state.change_rate[b] = crowd.changes_of_mind_per_s
+        state.random[b] = rng.integers(2**63, dtype=np.uint64)
+
+        state.trigger_distance[b] = spec.appearance.trigger_distance_m if spec.appearance else np.inf
+        state.appear_distance[b] = spec.appearance.distance_m if spec.appearance else 0.0
+        state.spawn_time[b] = state.spawn_line_x[b] = np.nan
+
+        state.recording[b] = -1
+        self._replay_reactive[b] = False
+        if spec.replay is not None:
+            reactive = spec.replay.reactive or self.config.people == "reactive"
+            self._replay_reactive[b] = reactive
+            state.notices_robot[b] = reactive
+            state.recording[b] = self._recording_index(spec.replay.recording)
+            state.recording_step[b] = round(spec.replay.start_s / self.config.physics_dt_s)
+
+    def _recording_index(self, recording: Recording) -> int:
+        """The recording's place in the simulator's set, into which it is taken at first sight."""
+        for k, known in enumerate(self._known_recordings):
+            if known is recording:
+                return k
+        require(
+            abs(recording.dt_s - self.config.physics_dt_s) < 1e-9,
+            "Recording.dt_s",
+            recording.dt_s,
+            f"the simulator's physics_dt_s {self.config.physics_dt_s}",
+        )
+        self._known_recordings.append(recording)
+        old = self._recordings
+        frames = recording.frame_start.astype(np.int64) + len(old.rows)
+        self._recordings = Recordings(
+            first_step=np.append(old.first_step, len(old.frame_start) - 1),
+            num_steps=np.append(old.num_steps, len(frames) - 1),
+            first_person=np.append(old.first_person, len(old.radius)),
+            frame_start=np.concatenate([old.frame_start[:-1], frames]),
+            rows=np.concatenate([old.rows, recording.state_w]),
+            person=np.concatenate([old.person, recording.person]),
+            radius=np.concatenate([old.radius, recording.radius_m]),
+            height=np.concatenate([old.height, recording.height_m]),
+        )
+        return len(self._known_recordings) - 1
