@@ -1,0 +1,39 @@
+"""Training stage 1, Random Goal: an empty world and a goal anywhere around the robot (paper, Training Scenarios)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from densecavoid.frames import require
+from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.spec import WorldSpec
+
+
+@dataclass(frozen=True)
+class RandomGoal:
+    """Level 0 has goals 1 to 3 m away, level 1 up to 8 m; always in every direction."""
+
+    level: float = 1.0
+
+    @property
+    def name(self) -> str:
+        return "random-goal"
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.level <= 1.0, "RandomGoal.level", self.level, "in [0, 1]")
+
+    def at_level(self, level: float) -> RandomGoal:
+        return replace(self, level=level)
+
+    def spawn(self, rng: np.random.Generator) -> WorldSpec:
+        distance, direction = rng.uniform(1.0, 3.0 + 5.0 * self.level), rng.uniform(-math.pi, math.pi)
+        return WorldSpec(
+            scenario=self.name,
+            floor_plan=FloorPlan(),
+            start_pose=(0.0, 0.0, rng.uniform(-math.pi, math.pi)),
+            goal=(distance * math.cos(direction), distance * math.sin(direction)),
+            time_limit_s=40.0,
+        )

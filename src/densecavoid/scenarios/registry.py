@@ -1,0 +1,56 @@
+"""Scenarios by name: the paper's four of training, its four of testing, one beyond, and recorded crowds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from densecavoid.scenarios.cluttered_static import ClutteredStatic
+from densecavoid.scenarios.corridor import Corridor15, DensePed
+from densecavoid.scenarios.dense_random_pedestrians import DenseRandomPedestrians
+from densecavoid.scenarios.dense_static import DenseStatic
+from densecavoid.scenarios.random_goal import RandomGoal
+from densecavoid.scenarios.random_pedestrians import RandomPedestrians
+from densecavoid.scenarios.random_sparse_ped import RandomSparsePed
+from densecavoid.scenarios.recorded import recorded_scenario
+from densecavoid.scenarios.robot_freezing import BANDS_M, RobotFreezing
+from densecavoid.sim.spec import Scenario
+
+TrainingScenario = RandomGoal | ClutteredStatic | RandomPedestrians | DenseRandomPedestrians
+"""Training scenarios have a `level` in [0, 1], the curriculum's dial."""
+
+TRAINING: dict[str, TrainingScenario] = {
+    scenario.name: scenario
+    for scenario in (RandomGoal(), ClutteredStatic(), RandomPedestrians(), DenseRandomPedestrians())
+}
+"""In the order of the paper's curriculum."""
+
+TESTING: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (DenseStatic(), RandomSparsePed(), DensePed(), Corridor15(), *map(RobotFreezing, BANDS_M))
+}
+
+
+def names() -> tuple[str, ...]:
+    """All scenarios that need no data."""
+    return (*TRAINING, *TESTING)
+
+
+def make_scenario(name: str, data: Path | None = None) -> Scenario:
+    """The scenario of that name.
+
+    Args:
+        name: one of `names()`, `hermes:<run>[:reactive]` or `tracks:FILE[:reactive]`.
+        data: folder of the recordings, for `hermes`.
+
+    Raises:
+        ValueError: if there is none, saying what there is.
+    """
+    if name.startswith(("hermes:", "tracks:")) or name in ("hermes", "tracks"):
+        return recorded_scenario(name, data)
+    known: dict[str, Scenario] = {**TRAINING, **TESTING}
+    if name not in known:
+        raise ValueError(
+            f"unknown scenario {name!r}, expected one of: {', '.join(known)}, "
+            "hermes:<run>[:reactive], tracks:FILE[:reactive]"
+        )
+    return known[name]
