@@ -1,0 +1,58 @@
+"""Navigators by name: what `--navigator` and `--navigators` accept. Knows their names, not how they work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from densecavoid.baselines import GoToGoal
+from densecavoid.frames import Navigator, RobotConfig, choose
+
+
+def _go_to_goal(robot: RobotConfig) -> Navigator:
+    return GoToGoal(robot)
+
+
+def _densecavoid(robot: RobotConfig) -> Navigator:
+    return _policy("densecavoid")
+
+
+def _policy(name: str | Path) -> Navigator:
+    # Imported here so that classical navigators work where there is no ONNX Runtime.
+    from densecavoid.policy.navigator import load_policy
+
+    return load_policy(name)
+
+
+_NAVIGATORS: dict[str, Callable[[RobotConfig], Navigator]] = {
+    "densecavoid": _densecavoid,
+    "go-to-goal": _go_to_goal,
+}
+
+
+def navigator_names() -> tuple[str, ...]:
+    """The registered names; a path to an .onnx policy is accepted beside them."""
+    return tuple(_NAVIGATORS)
+
+
+def make_navigator(name: str, robot: RobotConfig = RobotConfig()) -> Navigator:
+    """A new navigator.
+
+    Args:
+        name: One of `navigator_names()`, or the path of an exported policy (.onnx).
+        robot: Whose limits it keeps.
+
+    Raises:
+        ValueError: naming what was asked for and what there is.
+        FileNotFoundError: for a path where no policy is.
+    """
+    if name.endswith(".onnx"):
+        return _policy(Path(name))
+    choose("navigator", name, (*navigator_names(), "PATH.onnx"))
+    return _NAVIGATORS[name](robot)
+
+
+def policy_sha256(navigator: Navigator) -> str | None:
+    """Hash of the policy's file, for the tables; None for a navigator that has no policy."""
+    policy = getattr(navigator, "policy", None)
+    return getattr(policy, "sha256", None)
