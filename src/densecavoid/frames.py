@@ -166,9 +166,15 @@ class Command(NamedTuple):
 class Navigator(Protocol):
     """Everything between sensors and wheels. Batched; keeps whatever memory it needs for each world."""
 
-    name: str
-    privileged: bool
-    """Whether it reads `SensorFrame.truth`."""
+    @property
+    def name(self) -> str:
+        """As it appears in tables."""
+        ...
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it reads `SensorFrame.truth`."""
+        ...
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forget the episodes of the worlds marked in `which`; its length sets the batch size."""

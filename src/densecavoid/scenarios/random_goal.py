@@ -11,6 +11,8 @@ from densecavoid.frames import require
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import WorldSpec
 
+_TURN_TIME_S = 12.0  # to face any direction, at .4 rad/s and with some hesitation
+
 
 @dataclass(frozen=True)
 class RandomGoal:
@@ -35,5 +37,5 @@ class RandomGoal:
             floor_plan=FloorPlan(),
             start_pose=(0.0, 0.0, rng.uniform(-math.pi, math.pi)),
             goal=(distance * math.cos(direction), distance * math.sin(direction)),
-            time_limit_s=40.0,
+            time_limit_s=_TURN_TIME_S + 3.0 * distance,
         )

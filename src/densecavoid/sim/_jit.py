@@ -30,6 +30,13 @@ def _cache_folder() -> Path:
 if not os.environ.get("NUMBA_CACHE_DIR"):
     numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
+
+def kernels_are_compiled() -> bool:
+    """Whether an earlier process has compiled kernels of this version; the first use takes some seconds otherwise."""
+    folder = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
+    return folder.is_dir() and any(folder.rglob("kernels.advance*.nbc"))
+
+
 # NaN and infinity keep their meaning: rays that meet nothing are infinite, pixels without depth are NaN.
 _FASTMATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
 

@@ -1,0 +1,107 @@
+"""The command line: `densecavoid VERB --help`. Each verb is one call into a room; only its own room is imported."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from densecavoid.sim import kernels_are_compiled
+
+
+def _run(args: Sequence[str]) -> None:
+    """one robot, one scenario: a film, episode.json and a line of result"""
+    from densecavoid.viz.run import RunConfig, one_line, run
+
+    config = tyro.cli(RunConfig, prog="densecavoid run", args=args)
+    _announce_compilation()
+    metrics = run(config)
+    print(f"{config.navigator} in {config.scenario} (seed {config.seed}): {one_line(metrics)} -> {config.film_path}")
+
+
+def _benchmark(args: Sequence[str]) -> None:
+    """navigators x scenarios x episodes: results.json, tables.md, success.png"""
+    from densecavoid.benchmark.report import write_report
+    from densecavoid.benchmark.runner import BenchmarkConfig, run_benchmark
+
+    config = tyro.cli(BenchmarkConfig, prog="densecavoid benchmark", args=args)
+    _announce_compilation()
+    write_report(run_benchmark(config), config.out)
+    print(f"{config.out / 'tables.md'}\n{config.out / 'success.png'}\n{config.out / 'results.json'}")
+
+
+@dataclass(frozen=True)
+class ResumeConfig:
+    """Settings of `densecavoid train --resume`: the run's own, but for what is given here."""
+
+    run_dir: Path
+    """Folder of the run to go on with."""
+    total_steps: int | None = None
+    """Environment steps after which the run ends."""
+    max_minutes: float | None = None
+    """Minutes after which it ends all the same; 0 = no limit."""
+    threads: int | None = None
+    """Threads of torch; 0 = all cores."""
+
+
+def _train(args: Sequence[str]) -> None:
+    """train a policy with PPO in the paper's curriculum; --resume goes on with a run"""
+    try:
+        from densecavoid.learning.config import TrainConfig
+        from densecavoid.learning.trainer import resume, train
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
+    if "--resume" in args:
+        rest = [arg for arg in args if arg != "--resume"]
+        again = tyro.cli(ResumeConfig, prog="densecavoid train --resume", args=rest)
+        _announce_compilation()
+        result = resume(again.run_dir, again.total_steps, again.max_minutes, again.threads)
+    else:
+        config = tyro.cli(TrainConfig, prog="densecavoid train", args=args)
+        _announce_compilation()
+        result = train(config)
+    print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
+
+
+VERBS: dict[str, Callable[[Sequence[str]], None]] = {"run": _run, "train": _train, "benchmark": _benchmark}
+
+
+def _announce_compilation() -> None:
+    if not kernels_are_compiled():
+        print("Compiling the simulator for this machine, once: about 20 s.", file=sys.stderr, flush=True)
+
+
+def _usage() -> str:
+    verbs = "\n".join(f"  {name:10} {verb.__doc__}" for name, verb in VERBS.items())
+    return f"usage: densecavoid VERB [options]\n\n{verbs}\n\n`densecavoid VERB --help` lists the options of a verb."
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The `densecavoid` command.
+
+    Returns:
+        0; 2 for a wrong argument or input, with one line that says what is wrong; 130 after Ctrl-C.
+    """
+    args = list(sys.argv[1:] if argv is None else argv)
+    if not args or args[0] in ("-h", "--help"):
+        print(_usage())
+        return 0
+    if args[0] not in VERBS:
+        print(f"densecavoid: unknown verb {args[0]!r}\n\n{_usage()}", file=sys.stderr)
+        return 2
+    try:
+        VERBS[args[0]](args[1:])
+    except (ValueError, OSError) as error:
+        Console(stderr=True, soft_wrap=True).print(f"[bold red]densecavoid {args[0]}:[/] {error}", highlight=False)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
