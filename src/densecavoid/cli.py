@@ -100,6 +100,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+    except SystemExit as stop:  # tyro has printed the help, or what is wrong with the arguments
+        return stop.code if isinstance(stop.code, int) else 0
     return 0
 
 

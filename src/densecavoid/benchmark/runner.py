@@ -204,7 +204,7 @@ def _die_on_interrupt() -> None:
 def _cell(
     config: BenchmarkConfig, navigator: Navigator, name: str, scenario: str, episodes: list[EpisodeMetrics]
 ) -> dict[str, object]:
-    """One cell of results.json (schema: issue of the benchmark; BENCHMARK.md, Figures)."""
+    """One cell of results.json."""
     return {
         "navigator": name,
         "scenario": scenario,

@@ -1,0 +1,45 @@
+"""One navigator in one scenario, from Python: the benchmark's figures without its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from densecavoid.benchmark.metrics import episode_metrics, summarise
+from densecavoid.benchmark.rollout import run_episodes
+from densecavoid.benchmark.runner import TEST_SEEDS_START
+from densecavoid.frames import Navigator, require
+from densecavoid.scenarios import make_scenario
+from densecavoid.sim.spec import Scenario
+from densecavoid.sim.world import SimConfig, Simulator
+
+
+def evaluate(
+    navigator: Navigator,
+    scenario: Scenario | str,
+    episodes: int = 100,
+    *,
+    config: SimConfig | None = None,
+    batch_size: int = 16,
+    data: Path | None = None,
+) -> dict[str, object]:
+    """Success, collisions, freezing and the other figures of BENCHMARK, on the benchmark's first test worlds.
+
+    Args:
+        navigator: who drives.
+        scenario: where, by name or as an object.
+        episodes: how many worlds.
+        config: the body; the paper's (ideal, clean) by default.
+        batch_size: worlds simulated at once; the figures do not depend on it.
+        data: folder of the recordings, for scenarios that need them.
+
+    Returns:
+        The figures of one cell of the benchmark's `results.json`.
+
+    Raises:
+        ValueError: for an unknown scenario or a number of episodes below 1.
+    """
+    require(episodes >= 1, "episodes", episodes, "at least 1")
+    scenario = make_scenario(scenario, data) if isinstance(scenario, str) else scenario
+    simulator = Simulator(scenario, min(batch_size, episodes), config)
+    seeds = range(TEST_SEEDS_START, TEST_SEEDS_START + episodes)
+    return summarise([episode_metrics(episode) for episode in run_episodes(simulator, navigator, seeds)])

@@ -1,0 +1,1 @@
+"""Learning: PPO in the paper's curriculum. Needs torch (the extra `train`)."""

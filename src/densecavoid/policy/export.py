@@ -1,0 +1,150 @@
+"""Weights in their two forms: safetensors to train on, ONNX to run. Needs torch; running ONNX does not (`runtime`)."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import hashlib
+import json
+import logging
+import warnings
+from pathlib import Path
+from typing import Any
+
+import onnx
+import safetensors
+import safetensors.torch
+import torch
+from torch import Tensor, nn
+
+from densecavoid.policy.card import PolicyCard
+from densecavoid.policy.config_json import from_dict
+from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors
+
+_OPSET = 18
+# It reports operators of torchvision as missing, which no network here uses.
+logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+
+
+def describe(
+    network: ActorCritic,
+    name: str,
+    sensors: str = "densecavoid",
+    observation: dict[str, Any] | None = None,
+    training: dict[str, Any] | None = None,
+) -> PolicyCard:
+    """The card of a network's present weights; the arguments are fields of `PolicyCard`."""
+    linear, angular = network.log_std.detach().cpu().tolist()
+    return PolicyCard(
+        name=name,
+        sensors=sensors,
+        network=_json_form(dataclasses.asdict(network.config)),
+        observation=_json_form(observation or {}),
+        log_std=(linear, angular),
+        max_linear_velocity=network.config.max_linear_velocity,
+        max_angular_velocity=network.config.max_angular_velocity,
+        weights_sha256=weights_sha256(network),
+        training=_json_form(training or {}),
+    )
+
+
+def _json_form(values: dict[str, Any]) -> dict[str, Any]:
+    """As it will be read back (lists for tuples), so that a card equals the one in its file."""
+    return json.loads(json.dumps(values))
+
+
+def weights_sha256(network: nn.Module) -> str:
+    """Hash of all tensors (name, shape, bytes), in the order of their names."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(network.state_dict().items()):
+        array = tensor.detach().cpu().contiguous().numpy()
+        digest.update(f"{name} {array.dtype} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def save_safetensors(path: Path, network: ActorCritic, card: PolicyCard) -> None:
+    """Writes all weights, the critic's too, with the card."""
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    safetensors.torch.save_file(tensors, path, card.to_metadata())
+
+
+def load_safetensors(path: Path) -> tuple[ActorCritic, PolicyCard]:
+    """The network and card written by `save_safetensors`.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not such a file, or its tensors do not fit its own configuration.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"there is no weights file {path}")
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            card = PolicyCard.from_metadata(file.metadata() or {}, str(path))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except safetensors.SafetensorError as error:
+        raise ValueError(f"{path} is not a safetensors file: {error}") from error
+    network = ActorCritic(from_dict(NetworkConfig, card.network))
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise ValueError(f"{path}: the tensors do not fit the network described beside them: {error}") from error
+    return network, card
+
+
+class _Mean(nn.Module):
+    """The part of the network that a robot runs, with one argument an input, as the exporter wants it."""
+
+    def __init__(self, network: ActorCritic) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, lidar: Tensor, camera: Tensor, goal: Tensor, velocity: Tensor, prediction: Tensor) -> Tensor:
+        return self.network.mean(ObservationTensors(lidar, camera, goal, velocity, prediction))
+
+
+def export_onnx(path: Path, network: ActorCritic, card: PolicyCard) -> None:
+    """Writes one graph: the five arrays of an observation, any batch size, to `mean` [B, 2] (v m/s, w rad/s).
+
+    The branches are exported in float32 and as convolutions, whatever they were trained as.
+    """
+    module = _Mean(copy.deepcopy(network).cpu().eval())
+    module.network.set_compute_dtype(torch.float32)
+    module.network.set_patch_products(False)
+    # Two rows: the exporter takes a size of one for a constant.
+    example = _example_observation(network.config, batch=2)
+    batch = torch.export.Dim("batch")
+    with warnings.catch_warnings():
+        # The exporter warns about its own deprecated internals, which nobody here can act upon.
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            module,
+            tuple(example),
+            dynamo=True,
+            opset_version=_OPSET,
+            input_names=list(ObservationTensors._fields),
+            output_names=["mean"],
+            dynamic_shapes=tuple({0: batch} for _ in example),
+            verbose=False,
+        )
+    assert program is not None
+    model = program.model_proto
+    del model.metadata_props[:]
+    for node in model.graph.node:
+        # The exporter's traces name files of the machine that exported.
+        del node.metadata_props[:]
+        node.doc_string = ""
+    for value in (*model.graph.input, *model.graph.output, *model.graph.value_info, *model.graph.initializer):
+        del value.metadata_props[:]
+    del model.graph.metadata_props[:]
+    onnx.helper.set_model_props(model, card.to_metadata())
+    onnx.checker.check_model(model)
+    path.write_bytes(model.SerializeToString(deterministic=True))
+
+
+def _example_observation(config: NetworkConfig, batch: int) -> ObservationTensors:
+    height, width = config.image_size
+    image = torch.zeros(batch, height, width, dtype=torch.uint8)
+    return ObservationTensors(
+        torch.ones(batch, 3, config.num_rays), image, torch.zeros(batch, 2), torch.zeros(batch, 2), image.clone()
+    )

@@ -1,0 +1,75 @@
+"""DenseCAvoid as a navigator: sensors -> observation -> policy -> command. No torch, no safety filter (`safety`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from densecavoid.env.observation import Observer, ObserverConfig
+from densecavoid.frames import Command, SensorFrame
+from densecavoid.policy.config_json import from_dict
+from densecavoid.policy.runtime import OnnxPolicy
+from densecavoid.policy.sensors import mask_observation
+
+
+class PolicyNavigator:
+    """Satisfies `frames.Navigator`. Owns the observer's memory of each world (earlier scans, tracks)."""
+
+    def __init__(self, policy: OnnxPolicy, *, sample: bool = False, seed: int = 0, num_worlds: int = 1) -> None:
+        """
+        Args:
+            policy: what acts; its file says how observations are made.
+            sample: draw around the mean, as in the paper's equation, instead of acting with the mean.
+            seed: of the draws.
+            num_worlds: batch size until the first `reset`.
+        """
+        self.policy = policy
+        self.name = policy.card.name
+        self._observer_config = from_dict(ObserverConfig, policy.card.observation)
+        self._observer = Observer(self._observer_config, num_worlds)
+        self._num_worlds = num_worlds
+        self._limits = np.array([policy.card.max_linear_velocity, policy.card.max_angular_velocity], np.float32)
+        self._std = np.exp(np.array(policy.card.log_std, np.float32)) if sample else None
+        self._rng = np.random.default_rng(seed)
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it reads ground truth: the observer's people boxes do where the policy uses the prediction frame."""
+        return self._observer.privileged and self.policy.card.sensors == "densecavoid"
+
+    def reset(self, which: Bool[np.ndarray, "B"]) -> None:
+        """Forget the episodes of the marked worlds; another length than before starts all of them afresh."""
+        if len(which) != self._num_worlds:
+            self._num_worlds = len(which)
+            self._observer = Observer(self._observer_config, self._num_worlds)
+        else:
+            self._observer.reset(which)
+
+    def act(self, frame: SensorFrame) -> Command:
+        """The command for each world, within the robot's limits.
+
+        Raises:
+            ValueError: if the frame has another number of worlds than `reset` announced.
+        """
+        if frame.num_worlds != self._num_worlds:
+            raise ValueError(
+                f"the frame has {frame.num_worlds} worlds, expected {self._num_worlds} as in the last reset"
+            )
+        observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
+        command = self.policy(observation)
+        if self._std is not None:
+            command = command + self._std * self._rng.standard_normal(command.shape, dtype=np.float32)
+        command = np.clip(command, [0.0, -self._limits[1]], self._limits).astype(np.float32)
+        return Command(command[:, 0], command[:, 1])
+
+
+def load_policy(name_or_path: str | Path, *, sample: bool = False, seed: int = 0) -> PolicyNavigator:
+    """The navigator of a shipped policy (by name) or of an ONNX file.
+
+    Raises:
+        FileNotFoundError: if there is no such policy.
+        ValueError: if the file is not a policy of this project.
+    """
+    return PolicyNavigator(OnnxPolicy(name_or_path), sample=sample, seed=seed)

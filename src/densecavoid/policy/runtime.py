@@ -1,0 +1,117 @@
+"""A policy as the demo, the benchmark and the robot run it: an ONNX file in ONNX Runtime. No torch, no sensors."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+from jaxtyping import Float32
+
+from densecavoid.frames import Observation
+from densecavoid.policy.card import PolicyCard
+
+_TYPES = {
+    "lidar": ("tensor(float)", np.float32),
+    "camera": ("tensor(uint8)", np.uint8),
+    "goal": ("tensor(float)", np.float32),
+    "velocity": ("tensor(float)", np.float32),
+    "prediction": ("tensor(uint8)", np.uint8),
+}
+
+
+def shipped_policies() -> tuple[str, ...]:
+    """Names of the policies that come with the package."""
+    folder = resources.files("densecavoid.policy") / "weights"
+    if not folder.is_dir():
+        return ()
+    return tuple(sorted(entry.name.removesuffix(".onnx") for entry in folder.iterdir() if entry.name.endswith(".onnx")))
+
+
+def read_policy_file(name_or_path: str | Path) -> bytes:
+    """The bytes of an ONNX file: a shipped policy's name, or a path.
+
+    Raises:
+        FileNotFoundError: if it is neither, saying which are shipped.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path.read_bytes()
+    if str(name_or_path) in shipped_policies():
+        return (resources.files("densecavoid.policy") / "weights" / f"{name_or_path}.onnx").read_bytes()
+    shipped = ", ".join(shipped_policies()) or "none"
+    raise FileNotFoundError(f"no policy {str(name_or_path)!r}: not a file, and not one of those shipped ({shipped})")
+
+
+class OnnxPolicy:
+    """Observation -> mean command. Stateless between calls."""
+
+    def __init__(self, name_or_path: str | Path, threads: int = 1) -> None:
+        """Loads and checks the file.
+
+        Args:
+            name_or_path: a shipped policy's name or an ONNX file.
+            threads: of one call. One is fastest for small batches and leaves the other cores alone.
+
+        Raises:
+            FileNotFoundError: if there is no such policy.
+            ValueError: if the file is not a policy of this project.
+        """
+        content = read_policy_file(name_or_path)
+        self.sha256 = hashlib.sha256(content).hexdigest()
+        """Hash of the file, for result tables."""
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        # A robot's other processes need the core between two control steps.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        options.log_severity_level = 3
+        try:
+            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        except Exception as error:
+            # ONNX Runtime's own exceptions have no common base but Exception.
+            raise ValueError(f"{name_or_path} is not an ONNX file that ONNX Runtime can load: {error}") from error
+        self.card = PolicyCard.from_metadata(
+            self._session.get_modelmeta().custom_metadata_map, f"the file of policy {str(name_or_path)!r}"
+        )
+        self._shapes = self._check_graph(str(name_or_path))
+
+    @property
+    def metadata(self) -> PolicyCard:
+        """What the file says about itself."""
+        return self.card
+
+    def __call__(self, observation: Observation) -> Float32[np.ndarray, "B 2"]:
+        """Mean command (v m/s, w rad/s) for each row.
+
+        Raises:
+            ValueError: naming the array whose shape does not fit.
+        """
+        feed = {}
+        batch = observation.lidar.shape[0]
+        for name, array in zip(Observation._fields, observation, strict=True):
+            expected = (batch, *self._shapes[name])
+            if array.shape != expected:
+                raise ValueError(
+                    f"observation.{name} has shape {array.shape}, expected {expected} for {self.card.name!r}"
+                )
+            feed[name] = np.ascontiguousarray(array, dtype=_TYPES[name][1])
+        return np.asarray(self._session.run(["mean"], feed)[0])
+
+    def _check_graph(self, source: str) -> dict[str, tuple[int, ...]]:
+        inputs = {node.name: node for node in self._session.get_inputs()}
+        if set(inputs) != set(_TYPES):
+            raise ValueError(f"{source} has the inputs {sorted(inputs)}, expected {sorted(_TYPES)}")
+        for name, (kind, _) in _TYPES.items():
+            if inputs[name].type != kind:
+                raise ValueError(f"{source}: input {name} is a {inputs[name].type}, expected a {kind}")
+            if not isinstance(inputs[name].shape[0], str):
+                raise ValueError(
+                    f"{source}: input {name} has the fixed batch size {inputs[name].shape[0]}, expected any"
+                )
+        outputs = [node.name for node in self._session.get_outputs()]
+        if outputs != ["mean"]:
+            raise ValueError(f"{source} has the outputs {outputs}, expected ['mean']")
+        return {name: tuple(node.shape[1:]) for name, node in inputs.items()}

@@ -1,0 +1,34 @@
+"""A network small enough to train inside a test, and the environment it fits."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+if TYPE_CHECKING:
+    from densecavoid.policy.network import NetworkConfig
+
+
+@pytest.fixture
+def tiny_network() -> NetworkConfig:
+    pytest.importorskip("torch")
+    from densecavoid.policy.network import ConvConfig, NetworkConfig
+
+    return NetworkConfig(
+        name="tiny",
+        lidar_layers=(ConvConfig(4, (8,), (8,)),),
+        lidar_features=(8,),
+        camera_layers=(ConvConfig(4, (4, 4), (4, 4)),),
+        camera_features=(8,),
+        head_features=32,
+        goal_direction=True,
+        shared_encoder=True,
+        num_rays=16,
+        image_size=(4, 8),
+        min_std=(0.05, 0.05),
+    )

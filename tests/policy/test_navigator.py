@@ -1,0 +1,123 @@
+"""Promises of the policy as a navigator, with real frames of the simulator."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from densecavoid.env.observation import Observer, ObserverConfig  # noqa: E402
+from densecavoid.frames import Navigator, SensorFrame  # noqa: E402
+from densecavoid.policy.export import describe, export_onnx  # noqa: E402
+from densecavoid.policy.navigator import PolicyNavigator, load_policy  # noqa: E402
+from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors  # noqa: E402
+from densecavoid.policy.runtime import OnnxPolicy  # noqa: E402
+from densecavoid.scenarios import make_scenario  # noqa: E402
+from densecavoid.sim.world import Simulator  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def network() -> ActorCritic:
+    torch.manual_seed(0)
+    network = ActorCritic(NetworkConfig.preset("compact"))
+    torch.nn.init.orthogonal_(network.actor_output.weight)
+    return network
+
+
+@pytest.fixture(scope="module")
+def path(network: ActorCritic, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("policy") / "p.onnx"
+    export_onnx(path, network, describe(network, "p", observation=dataclasses.asdict(ObserverConfig(horizon_s=0.6))))
+    return path
+
+
+def simulator(worlds: int) -> Simulator:
+    simulator = Simulator(make_scenario("random-pedestrians"), worlds)
+    simulator.reset(np.arange(worlds, dtype=np.int64))
+    return simulator
+
+
+def frames(worlds: int, steps: int) -> list[SensorFrame]:
+    """Copies, since the simulator reuses its buffers."""
+    sim, navigator = simulator(worlds), []
+    for _ in range(steps):
+        frame = sim.sense()
+        arrays = {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame) if f.name != "truth"}
+        navigator.append(
+            dataclasses.replace(frame, **{name: array.copy() for name, array in arrays.items()}, truth=frame.truth)
+        )
+    return navigator
+
+
+def test_it_is_a_navigator_and_says_that_it_reads_ground_truth(path: Path) -> None:
+    navigator = load_policy(path)
+    assert isinstance(navigator, Navigator)
+    assert navigator.name == "p" and navigator.privileged
+
+
+def test_a_policy_without_the_prediction_frame_is_not_privileged(network: ActorCritic, tmp_path: Path) -> None:
+    export_onnx(tmp_path / "d.onnx", network, describe(network, "d", sensors="depth-lidar"))
+    assert not load_policy(tmp_path / "d.onnx").privileged
+
+
+def test_its_command_is_the_networks_mean_of_the_observers_observation(path: Path, network: ActorCritic) -> None:
+    navigator = load_policy(path)
+    navigator.reset(np.ones(3, bool))
+    observer = Observer(ObserverConfig(horizon_s=0.6), 3)
+    for frame in frames(3, 3):
+        command = navigator.act(frame)
+        observation = observer.observe(frame)
+        with torch.no_grad():
+            mean = network.mean(ObservationTensors(*(torch.from_numpy(array.copy()) for array in observation))).numpy()
+        np.testing.assert_allclose(command.linear_velocity, mean[:, 0], atol=1e-4)
+        np.testing.assert_allclose(command.angular_velocity, mean[:, 1], atol=1e-4)
+
+
+def test_reset_of_one_world_makes_it_as_new_and_leaves_the_others(path: Path) -> None:
+    veteran, fresh = load_policy(path), load_policy(path)
+    everyone, first = np.ones(2, bool), np.array([True, False])
+    veteran.reset(everyone)
+    sim = simulator(2)
+    from densecavoid.frames import Command
+
+    for _ in range(8):
+        command = veteran.act(sim.sense())
+        sim.step(Command(np.full(2, 0.6, np.float32), command.angular_velocity))
+    before = [array.copy() for array in veteran._observer.observe(sim.sense())]
+    veteran.reset(first)
+    fresh.reset(everyone)
+    after = veteran._observer.observe(sim.sense())
+    new = fresh._observer.observe(sim.sense())
+    assert np.array_equal(after.lidar[0], new.lidar[0]), "world 0 forgot its earlier scans"
+    assert not np.array_equal(after.lidar[1], new.lidar[1]), "world 1 did not"
+    assert np.array_equal(after.lidar[1, 1], before[0][1, 2])
+
+
+def test_draws_scatter_as_the_policy_says_within_the_limits_and_follow_the_seed(path: Path) -> None:
+    frame = frames(1, 1)[0]
+    mean = load_policy(path).act(frame)
+    draws = []
+    navigator = load_policy(path, sample=True, seed=4)
+    for _ in range(300):
+        navigator.reset(np.ones(1, bool))
+        draws.append(float(navigator.act(frame).angular_velocity[0]))
+    limit = float(np.float32(0.4))
+    assert min(draws) >= -limit and max(draws) <= limit
+    inside = [draw for draw in draws if abs(draw) < limit]
+    assert len(set(inside)) == len(inside)
+    median = float(np.median(draws))
+    assert median == pytest.approx(float(mean.angular_velocity[0]), abs=0.04)
+    again = load_policy(path, sample=True, seed=4)
+    assert float(again.act(frame).angular_velocity[0]) == draws[0]
+
+
+def test_frames_of_another_size_than_announced_are_refused(path: Path) -> None:
+    navigator = PolicyNavigator(OnnxPolicy(path), num_worlds=2)
+    with pytest.raises(ValueError, match="the frame has 1 worlds, expected 2"):
+        navigator.act(frames(1, 1)[0])
+    navigator.reset(np.ones(1, bool))
+    assert navigator.act(frames(1, 1)[0]).linear_velocity.shape == (1,)
