@@ -27,6 +27,7 @@ def tiny_network() -> NetworkConfig:
         camera_features=(8,),
         head_features=32,
         goal_direction=True,
+        state_gain=1.0,
         shared_encoder=True,
         num_rays=16,
         image_size=(4, 8),

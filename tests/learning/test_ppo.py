@@ -120,7 +120,7 @@ def test_a_loss_that_is_not_finite_stops_the_update_before_the_weights_change(ti
 
 def test_the_update_stops_when_the_policy_has_moved_too_far(tiny_network: NetworkConfig) -> None:
     network, rollout, _ = collect(tiny_network)
-    careful = ppo.PPOConfig(minibatch_size=16, epochs=20, learning_rate=0.01, target_kl=0.01)
+    careful = ppo.PPOConfig(minibatch_size=16, epochs=20, learning_rate=0.01, target_kl=0.01, schedule="fixed")
     statistics = ppo.update(network, ppo.make_optimiser(network, careful), rollout, careful, torch.Generator())
     assert statistics.stopped_early and statistics.gradient_steps < 20 * 8
     bold = dataclasses.replace(careful, target_kl=0.0)
@@ -134,7 +134,8 @@ def test_learning_rate_schedules(tiny_network: NetworkConfig) -> None:
     statistics = ppo.update(network, ppo.make_optimiser(network, config), rollout, config, torch.Generator(), 0.75)
     assert statistics.learning_rate == pytest.approx(0.25e-3)
     assert ppo.adapted_learning_rate(1e-3, kl=0.05, target_kl=0.02) == pytest.approx(1e-3 / 1.5)
-    assert ppo.adapted_learning_rate(1e-3, kl=0.001, target_kl=0.02) == pytest.approx(1.5e-3)
+    assert ppo.adapted_learning_rate(5e-4, kl=0.001, target_kl=0.02) == pytest.approx(7.5e-4)
+    assert ppo.adapted_learning_rate(9e-4, kl=0.001, target_kl=0.02) == 1e-3
     assert ppo.adapted_learning_rate(1e-3, kl=0.01, target_kl=0.02) == 1e-3
 
 
@@ -149,7 +150,7 @@ def test_standard_deviations_stay_above_their_floor(tiny_network: NetworkConfig)
 def test_ppo_solves_a_toy_task(tiny_network: NetworkConfig) -> None:
     torch.manual_seed(1)
     network = ActorCritic(tiny_network)
-    config = ppo.PPOConfig(learning_rate=3e-3, minibatch_size=128, target_kl=0.0)
+    config = ppo.PPOConfig(learning_rate=3e-3, minibatch_size=128, target_kl=0.0, schedule="fixed")
     optimiser = ppo.make_optimiser(network, config)
     generator = torch.Generator().manual_seed(1)
     collector = Collector(PointEnv(32), 32, "densecavoid", 1.0, CPU)

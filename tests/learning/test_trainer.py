@@ -257,3 +257,11 @@ def test_a_resumed_run_gives_the_same_bits_in_the_real_worlds(
         trainer_module.save_checkpoint(path, trainer.state_dict())
         states.append(load_checkpoint(path))
     assert_same(*states)
+
+
+def test_a_checkpoint_of_another_network_is_refused(config: TrainConfig) -> None:
+    trainer = Trainer(config, make_env)
+    state = trainer.state_dict()
+    state["network_config"] = state["network_config"].replace('"name": "', '"name": "other ')
+    with pytest.raises(ValueError, match="the checkpoint's network is .*other "):
+        trainer.load_state_dict(state)

@@ -31,7 +31,7 @@ class CurriculumConfig:
     """Episodes of the stage over which success is taken; emptied by a promotion."""
     simpler_share: float = 0.3
     """Share of the worlds that keep running the stages already passed, each at the level it has come to."""
-    patience: int = 10_000
+    patience: int = 8_000
     """Episodes after which a stage is passed all the same; its level goes on rising beside the next one's."""
 
     def __post_init__(self) -> None:

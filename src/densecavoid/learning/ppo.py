@@ -40,15 +40,15 @@ class PPOConfig:
     """The value may move this far from the rollout's before its loss is cut (scaled reward); 0 = no clipping."""
     value_weight: float = 0.5
     """Weight of the critic's loss."""
-    entropy_weight: float = 0.0005
+    entropy_weight: float = 0.001
     """Weight of the entropy bonus."""
-    target_kl: float = 0.05
+    target_kl: float = 0.03
     """The update stops when a minibatch's KL divergence from the rollout's policy passes 1.5 times this; 0 = never."""
     max_gradient_norm: float = 0.5
     """Gradients are scaled down to this norm."""
     learning_rate: float = 5e-4
     """Adam's, at the start."""
-    schedule: str = "fixed"
+    schedule: str = "adaptive"
     """`fixed`, `linear` (to zero at the last step) or `adaptive` (keeps each update's KL near half of target_kl)."""
 
     def __post_init__(self) -> None:
@@ -224,11 +224,11 @@ def update(
 
 
 def adapted_learning_rate(rate: float, kl: float, target_kl: float) -> float:
-    """A third less after a large step, half as much again after a small one (as rsl_rl does), within [1e-5, 2e-3]."""
+    """A third less after a large step, half as much again after a small one (as rsl_rl does), within [1e-5, 1e-3]."""
     if kl > target_kl:
         return max(1e-5, rate / 1.5)
     if kl < 0.25 * target_kl:
-        return min(2e-3, rate * 1.5)
+        return min(1e-3, rate * 1.5)
     return rate
 
 

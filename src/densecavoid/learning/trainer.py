@@ -21,7 +21,7 @@ import torch
 from gymnasium.vector import VectorEnv
 from rich.console import Console
 
-from densecavoid.frames import Observation
+from densecavoid.frames import Observation, require
 from densecavoid.learning import ppo
 from densecavoid.learning.checkpoint import load_checkpoint, save_checkpoint
 from densecavoid.learning.config import TrainConfig
@@ -30,6 +30,7 @@ from densecavoid.learning.progress import Display, MetricsLog, Progress
 from densecavoid.learning.rollout import Collector, Rollout
 from densecavoid.learning.run_folder import RunFolder, config_summary
 from densecavoid.learning.worlds import make_training_env, observer_json
+from densecavoid.policy.config_json import to_json
 from densecavoid.policy.export import describe, export_onnx, load_safetensors, save_safetensors
 from densecavoid.policy.network import ActorCritic, NetworkConfig
 from densecavoid.sim.spec import Scenario
@@ -152,6 +153,7 @@ class Trainer:
         optimiser = self.optimiser.state_dict()
         return {
             "counters": {"steps": self.steps, "iteration": self.iteration, "best_score": list(self.best_score)},
+            "network_config": to_json(self.network.config),
             "network": self.network.state_dict(),
             "optimiser": {
                 "state": {str(index): entries for index, entries in optimiser["state"].items()},
@@ -165,7 +167,13 @@ class Trainer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues as if the run had never stopped: the same bits follow, on the same machine and thread count."""
+        """Continues as if the run had never stopped: the same bits follow, on the same machine and thread count.
+
+        Raises:
+            ValueError: if the checkpoint is of another network than this version builds from the same settings.
+        """
+        built = to_json(self.network.config)
+        require(state["network_config"] == built, "the checkpoint's network", state["network_config"], built)
         self.steps = state["counters"]["steps"]
         self.iteration = state["counters"]["iteration"]
         stage, level, rate = state["counters"]["best_score"]

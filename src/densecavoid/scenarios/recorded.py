@@ -21,7 +21,8 @@ from densecavoid.sim.spec import Replay, WorldSpec
 _TIME_LIMIT_S = 90.0
 _WALL_END_Y = 4.0
 _END_Y = 6.0
-_START_CLEARANCE_M = 0.8
+_START_CLEARANCE_M = 0.6  # from the robot's centre to a person's: a step apart
+_SIDE_M = 0.5  # from a wall's line to where the robot may start
 _SPEED_FOR_START = 0.5  # m/s: the latest start leaves time to cross at this mean speed
 _TRIES = 500
 
@@ -69,7 +70,7 @@ class Hermes:
 
         def draw_way(rng: np.random.Generator) -> tuple[tuple[float, float], tuple[float, float]]:
             end = _END_Y * float(rng.choice([-1.0, 1.0]))
-            return (width / 2, end), (width / 2, -end)
+            return (rng.uniform(_SIDE_M, width - _SIDE_M), end), (width / 2, -end)
 
         start, goal, start_s = _draw_start(rng, recording, self.name, draw_way)
         return WorldSpec(

@@ -27,6 +27,8 @@ _ANTICIPATION_GAIN = 1.5  # k of the power law
 _ANTICIPATION_HORIZON_S = 3.0  # tau0 of the power law
 _HORIZON_S = 8.0  # collisions later than this are not thought of
 _ELBOW_ROOM_M = 0.05  # people keep this between bodies when they can
+_ROBOT_ROOM_M = 0.15  # and this to a robot that they notice
+_ROBOT_GAP_M = 0.05  # nearer than this they do not step
 _MAX_ACCELERATION = 4.0  # m/s2
 _WALL_FORCE = 3.0  # m/s2 at the surface
 _WALL_RANGE_M = 0.15
@@ -83,7 +85,7 @@ def _social_force(state, b, i, robot_radius):
     if state.notices_robot[b, i]:
         pose = state.robot_pose[b]
         speed = state.robot_velocity[b, 0]
-        reach = state.radius[b, i] + robot_radius + _ELBOW_ROOM_M
+        reach = state.radius[b, i] + robot_radius + _ROBOT_ROOM_M
         fx, fy = anticipation_force(
             pose[0] - x, pose[1] - y, vx - speed * math.cos(pose[2]), vy - speed * math.sin(pose[2]), reach
         )
@@ -151,9 +153,16 @@ def _part_bodies(state, b):
 
 
 @kernel
-def _keep_out_of_things(state, b, i):
-    """Moves person i out of walls, furniture and pillars."""
+def _keep_out_of_things(state, b, i, robot_radius):
+    """Moves person i out of walls, furniture and pillars, and off a robot that they notice."""
     radius = state.radius[b, i]
+    if state.notices_robot[b, i]:
+        off_x = state.pos[b, i, 0] - state.robot_pose[b, 0]
+        off_y = state.pos[b, i, 1] - state.robot_pose[b, 1]
+        distance, reach = math.sqrt(off_x * off_x + off_y * off_y), radius + robot_radius + _ROBOT_GAP_M
+        if 1e-6 < distance < reach:
+            state.pos[b, i, 0] += (reach - distance) * off_x / distance
+            state.pos[b, i, 1] += (reach - distance) * off_y / distance
     for k in range(state.num_boxes[b]):
         box = state.boxes[b, k]
         if _far_from_box(state.pos[b, i, 0], state.pos[b, i, 1], box, radius):
@@ -197,7 +206,7 @@ def move_people(state, b, intended, robot_radius, dt):
     _part_bodies(state, b)
     for i in range(num_people):
         if state.behaviour[b, i] != ABSENT and state.behaviour[b, i] != STANDING:
-            _keep_out_of_things(state, b, i)
+            _keep_out_of_things(state, b, i, robot_radius)
             walk(state, b, i, dt)
 
 
