@@ -27,6 +27,7 @@ def tiny_network() -> NetworkConfig:
         camera_features=(8,),
         head_features=32,
         goal_direction=True,
+        lidar_falloff=0.0,
         state_gain=1.0,
         shared_encoder=True,
         num_rays=16,

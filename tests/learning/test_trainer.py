@@ -263,5 +263,5 @@ def test_a_checkpoint_of_another_network_is_refused(config: TrainConfig) -> None
     trainer = Trainer(config, make_env)
     state = trainer.state_dict()
     state["network_config"] = state["network_config"].replace('"name": "', '"name": "other ')
-    with pytest.raises(ValueError, match="the checkpoint's network is .*other "):
+    with pytest.raises(ValueError, match=r"the checkpoint's network is .*other "):
         trainer.load_state_dict(state)

@@ -25,13 +25,13 @@ class CurriculumConfig:
     """Difficulty at which each stage begins."""
     level_step: float = 0.1
     """Raise of the difficulty at each promotion."""
-    threshold: float = 0.8
+    threshold: float = 0.75
     """Success rate that promotes."""
     window: int = 200
     """Episodes of the stage over which success is taken; emptied by a promotion."""
     simpler_share: float = 0.3
     """Share of the worlds that keep running the stages already passed, each at the level it has come to."""
-    patience: int = 8_000
+    patience: int = 5_000
     """Episodes after which a stage is passed all the same; its level goes on rising beside the next one's."""
 
     def __post_init__(self) -> None:

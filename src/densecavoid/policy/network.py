@@ -88,6 +88,9 @@ class NetworkConfig:
     """Size of the fully connected layer behind the joined branches, one for the actor and one for the critic."""
     goal_direction: bool
     """Whether the goal's bearing is given as cosine and sine, continuous all around, or raw as in the paper."""
+    lidar_falloff: float
+    """Ranges r (fractions of the greatest) are given as exp(-lidar_falloff r), so that free space is near 0 and what
+    is close stands out; with 0 raw, as in the paper."""
     state_gain: float
     """Goal and velocity are multiplied by it, so that these few numbers are heard beside hundreds of features of the
     sensors: with 4 the first stage took .1 M steps instead of .16 M (three seeds each)."""
@@ -102,8 +105,9 @@ class NetworkConfig:
     """rad/s; the mean lies in (-max, max)."""
     initial_std: tuple[float, float] = (0.4, 0.3)
     """Standard deviations of v (m/s) and w (rad/s) before training."""
-    min_std: tuple[float, float] = (0.03, 0.02)
-    """The floor that training keeps them above (m/s, rad/s)."""
+    min_std: tuple[float, float] = (0.12, 0.12)
+    """The floor that training keeps them above (m/s, rad/s): a policy that no longer tries anything once it reaches
+    goals in an empty world learns to avoid obstacles several times more slowly."""
 
     def __post_init__(self) -> None:
         for name in ("num_rays", "head_features", "state_gain", "max_linear_velocity", "max_angular_velocity"):
@@ -154,6 +158,7 @@ PRESETS = {
         camera_features=(512, 256),
         head_features=128,
         goal_direction=False,
+        lidar_falloff=0.0,
         state_gain=1.0,
         shared_encoder=False,
     ),
@@ -165,7 +170,8 @@ PRESETS = {
         camera_features=(128,),
         head_features=128,
         goal_direction=True,
-        state_gain=4.0,
+        lidar_falloff=4.0,
+        state_gain=1.0,
         shared_encoder=True,
     ),
 }
@@ -209,6 +215,7 @@ class Encoder(nn.Module):
             config.camera_layers[-1].filters * math.prod(camera_sizes[-1]), config.camera_features
         )
         self.goal_direction = config.goal_direction
+        self.lidar_falloff = config.lidar_falloff
         self.state_gain = config.state_gain
         self.num_features = config.lidar_features[-1] + config.camera_features[-1] + config.num_goal_features + 2
         self.patch_products = True
@@ -234,7 +241,8 @@ class Encoder(nn.Module):
         return torch.cat([lidar.float(), camera.float(), state], dim=1)
 
     def _lidar(self, lidar: Tensor) -> Tensor:
-        x = lidar.to(self.compute_dtype)
+        seen = torch.exp(-self.lidar_falloff * lidar) if self.lidar_falloff > 0 else lidar
+        x = seen.to(self.compute_dtype)
         convs = cast(list[nn.Conv1d], list(self.lidar_convs))
         if not (self.patch_products and self._lidar_is_patches):
             for conv in convs:
