@@ -29,7 +29,7 @@ class ObserverConfig:
     camera: CameraConfig = field(default_factory=CameraConfig)
     people_from: Literal["truth", "nothing"] = "truth"
     """truth: boxes of visible people from ground truth, tracked and predicted. nothing: an empty prediction frame."""
-    horizon_s: float = 0.4
+    horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
     control_dt_s: float = 0.1
     threads: int = 0

@@ -51,7 +51,7 @@ class TrainConfig:
     """Threads of torch; 0 = all cores. (Those of the simulator: sim.threads.)"""
     checkpoint_every: int = 25
     """Iterations between two checkpoints."""
-    prediction_horizon_s: float = 0.4
+    prediction_horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
