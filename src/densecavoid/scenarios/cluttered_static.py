@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from densecavoid.frames import require
 from densecavoid.scenarios.free_space import clear_path, free_points, points_along
 from densecavoid.scenarios.furniture import clutter
+from densecavoid.scenarios.levelled import Levelled
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import WorldSpec
 
@@ -58,20 +58,12 @@ def cluttered_room(
 
 
 @dataclass(frozen=True)
-class ClutteredStatic:
+class ClutteredStatic(Levelled):
     """Level 0 is a nearly empty room, level 1 has an obstacle for every 3 m2."""
-
-    level: float = 1.0
 
     @property
     def name(self) -> str:
         return "cluttered-static"
-
-    def __post_init__(self) -> None:
-        require(0.0 <= self.level <= 1.0, "ClutteredStatic.level", self.level, "in [0, 1]")
-
-    def at_level(self, level: float) -> ClutteredStatic:
-        return replace(self, level=level)
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
         size = (rng.uniform(6.0, 11.0), rng.uniform(6.0, 11.0))

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from densecavoid.frames import require
 from densecavoid.scenarios.corridor import oncoming_corridor
+from densecavoid.scenarios.levelled import Levelled
 from densecavoid.scenarios.random_sparse_ped import wandering_hall
 from densecavoid.scenarios.robot_freezing import sudden_line
 from densecavoid.sim.spec import WorldSpec
 
 
 @dataclass(frozen=True)
-class DenseRandomPedestrians:
+class DenseRandomPedestrians(Levelled):
     """Corridors with people coming against the robot, crowded halls and sudden appearances, of random sizes.
 
     Level 0 has few and slow people, level 1 more than the tests have.
     """
 
-    level: float = 1.0
-
     @property
     def name(self) -> str:
         return "dense-random-pedestrians"
-
-    def __post_init__(self) -> None:
-        require(0.0 <= self.level <= 1.0, "DenseRandomPedestrians.level", self.level, "in [0, 1]")
-
-    def at_level(self, level: float) -> DenseRandomPedestrians:
-        return replace(self, level=level)
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
         kind = rng.choice(["corridor", "hall", "sudden"], p=[0.5, 0.3, 0.2])

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from densecavoid.frames import require
+from densecavoid.scenarios.levelled import Levelled
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import WorldSpec
 
@@ -15,20 +15,12 @@ _TURN_TIME_S = 12.0  # to face any direction, at .4 rad/s and with some hesitati
 
 
 @dataclass(frozen=True)
-class RandomGoal:
+class RandomGoal(Levelled):
     """Level 0 has goals 1 to 3 m away, level 1 up to 8 m; always in every direction."""
-
-    level: float = 1.0
 
     @property
     def name(self) -> str:
         return "random-goal"
-
-    def __post_init__(self) -> None:
-        require(0.0 <= self.level <= 1.0, "RandomGoal.level", self.level, "in [0, 1]")
-
-    def at_level(self, level: float) -> RandomGoal:
-        return replace(self, level=level)
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
         distance, direction = rng.uniform(1.0, 3.0 + 5.0 * self.level), rng.uniform(-math.pi, math.pi)

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from densecavoid.frames import require
+from densecavoid.scenarios.levelled import Levelled
 from densecavoid.scenarios.random_sparse_ped import wandering_hall
 from densecavoid.sim.spec import WorldSpec
 
 
 @dataclass(frozen=True)
-class RandomPedestrians:
+class RandomPedestrians(Levelled):
     """Level 0 has one slow person, level 1 up to one for every 5 m2 at up to 1 m/s."""
-
-    level: float = 1.0
 
     @property
     def name(self) -> str:
         return "random-pedestrians"
-
-    def __post_init__(self) -> None:
-        require(0.0 <= self.level <= 1.0, "RandomPedestrians.level", self.level, "in [0, 1]")
-
-    def at_level(self, level: float) -> RandomPedestrians:
-        return replace(self, level=level)
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
         size = (rng.uniform(6.0, 12.0), rng.uniform(6.0, 12.0))
