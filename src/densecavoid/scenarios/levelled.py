@@ -7,7 +7,6 @@ from typing import TypeVar
 
 from densecavoid.frames import require
 
-
 # Not typing.Self, which beartype cannot check in a method decorated by itself.
 LevelledT = TypeVar("LevelledT", bound="Levelled")
 
