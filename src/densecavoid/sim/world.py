@@ -282,6 +282,11 @@ class Simulator:
             plan.pillar(*row)
         return plan
 
+    def body_cylinders(self, b: int) -> Float[np.ndarray, "P parts 5"]:
+        """Everybody's legs, trunk and head in world b, rows (x, y, radius, z_min, z_max); radius 0 for nobody there."""
+        slots = self._state.pos.shape[1]
+        return self._state.cylinders[b, : PARTS * slots].astype(np.float64).reshape(slots, PARTS, 5)
+
     def nearest_surface_m(self, b: int, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
         """Distance from each point to the nearest surface in world b that the robot could hit."""
         top = self.config.robot.height_m
