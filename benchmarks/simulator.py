@@ -1,4 +1,4 @@
-"""Environment steps a second: people, robot, both sensors, perception, reward and resets, 15 people and 40 obstacles.
+"""Speed of the simulator: environment steps, sensors beside MuJoCo's and PyBullet's rays, memory, crowds of any size.
 
 python benchmarks/simulator.py [--json FILE] [--worlds 64] [--seconds 5]
 """
@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -16,37 +18,46 @@ from statistics import median
 import numpy as np
 
 from densecavoid.env import DenseCAvoidVectorEnv
+from densecavoid.frames import Command
 from densecavoid.scenarios.free_space import free_points
 from densecavoid.sim._jit import available_threads
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import WANDERING
 from densecavoid.sim.spec import Crowd, WorldSpec
-from densecavoid.sim.world import SimConfig
+from densecavoid.sim.world import SimConfig, Simulator
 
 PEOPLE, OBSTACLES = 15, 40
 HALL_M = 16.0
+CROWDS = (15, 50, 150, 500)
+SCALING_WORLDS = 16
+PEER_WORLDS = 8
+"""Each peer casts the rays of this many of the simulator's worlds."""
 
 
 @dataclass(frozen=True)
 class BusyHall:
-    """A hall with 15 wandering people and 40 boxes and pillars, all of them in every world."""
+    """A hall with wandering people and 40 boxes and pillars, all of them in every world; as dense for any crowd."""
+
+    people: int = PEOPLE
 
     @property
     def name(self) -> str:
         return "busy-hall"
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
+        side = HALL_M * math.sqrt(self.people / PEOPLE)
         plan = FloorPlan()
-        plan.room(0.0, 0.0, HALL_M, HALL_M)
-        area = (0.8, 0.8, HALL_M - 0.8, HALL_M - 0.8)
+        plan.room(0.0, 0.0, side, side)
+        area = (0.8, 0.8, side - 0.8, side - 0.8)
         for i, (x, y) in enumerate(free_points(rng, plan, area, OBSTACLES, 0.5, apart_m=1.2)):
             if i % 2:
                 plan.pillar(float(x), float(y), rng.uniform(0.1, 0.3))
             else:
                 plan.box(float(x), float(y), rng.uniform(0.2, 0.6), rng.uniform(0.2, 0.6), rng.uniform(0, 3.14))
         start, goal = free_points(rng, plan, area, 2, 0.6, apart_m=5.0)
-        pos = free_points(rng, plan, area, PEOPLE, 0.4, apart_m=0.7, away_from=(start[0], start[1]), away_m=1.5)
-        crowd = Crowd.draw(rng, pos, free_points(rng, plan, area, PEOPLE, 0.4), 0.5, 0.15, WANDERING, area, 0.1)
+        pos = free_points(rng, plan, area, self.people, 0.4, apart_m=0.7, away_from=(start[0], start[1]), away_m=1.5)
+        goals = free_points(rng, plan, area, self.people, 0.4)
+        crowd = Crowd.draw(rng, pos, goals, 0.5, 0.15, WANDERING, area, 0.1)
         return WorldSpec("busy-hall", plan, (start[0], start[1], rng.uniform(-3, 3)), (goal[0], goal[1]), crowd)
 
 
@@ -68,20 +79,98 @@ def steps_per_second(worlds: int, threads: int, seconds: float) -> float:
     return median(rates)
 
 
+def median_us(call: Callable[[], object], seconds: float) -> float:
+    """Median time of a call in microseconds; at least five calls after one that does not count.
+
+    Processor time, so that whatever else runs on the machine does not count; for calls on one thread.
+    """
+    call()
+    durations = []
+    end = time.perf_counter() + seconds
+    while len(durations) < 5 or time.perf_counter() < end:
+        start = time.process_time()
+        call()
+        durations.append(time.process_time() - start)
+    return median(durations) * 1e6
+
+
+def busy_simulator(people: int, worlds: int) -> Simulator:
+    """Worlds on one thread, with their people in mid-stride."""
+    simulator = Simulator(BusyHall(people), worlds, SimConfig(threads=1))
+    simulator.reset(np.arange(worlds))
+    for _ in range(5):
+        simulator.step(Command(np.full(worlds, 0.2, np.float32), np.zeros(worlds, np.float32)))
+    return simulator
+
+
+def compare_with_peers(simulator: Simulator, seconds: float) -> dict[str, float]:
+    """Time to sense one world (lidar and depth, the same rays), ours and theirs, one thread each; prints them.
+
+    Returns:
+        `ray_speedup_mujoco` and `ray_speedup_pybullet`; empty where they are not installed.
+    """
+    try:
+        from peers.ray_engines import MujocoRays, PybulletRays, camera_rays, lidar_rays
+    except ModuleNotFoundError as error:
+        print(f"sensors beside MuJoCo and PyBullet: skipped, {error.name} is not installed")
+        return {}
+    lidar, camera = simulator.config.lidar, simulator.config.camera
+    theirs: dict[str, list[float]] = {"mujoco": [], "pybullet": [], "pybullet, rendered depth": []}
+    share = seconds / (PEER_WORLDS * 6)
+    for b in range(PEER_WORLDS):
+        plan, bodies, pose = simulator.floor_plan(b), simulator.body_cylinders(b), simulator.robot_pose[b]
+        rays = (*lidar_rays(lidar, pose), lidar.max_range_m), (*camera_rays(camera, pose), camera.max_range_m)
+        exact, bullet = MujocoRays(plan, bodies), PybulletRays(plan, bodies)
+        theirs["mujoco"].append(sum(median_us(exact.caster(*part), share) for part in rays))
+        scan, image = (median_us(bullet.caster(*part), share) for part in rays)
+        theirs["pybullet"].append(scan + image)
+        theirs["pybullet, rendered depth"].append(scan + median_us(bullet.depth_image(camera, pose), share))
+        bullet.close()
+    ours = median_us(simulator.sense, seconds / 2) / simulator.num_worlds
+    solids = len(simulator.floor_plan(0).boxes) + len(simulator.floor_plan(0).cylinders) + 4 * PEOPLE
+    count = lidar.num_rays + camera.width * camera.height
+    print(f"{ours:9.1f} us to sense a world  (one thread, {count} rays, {solids} solids)")
+    for name, times in theirs.items():
+        print(f"{median(times):9.1f} us by {name}: {median(times) / ours:.0f} times ours")
+    pybullet = min(median(times) for name, times in theirs.items() if name.startswith("pybullet"))
+    return {"ray_speedup_mujoco": median(theirs["mujoco"]) / ours, "ray_speedup_pybullet": pybullet / ours}
+
+
+def people_scaling(seconds: float) -> list[dict[str, float]]:
+    """Time of one step of one world (people, robot, both sensors; one thread) by the number of people, as dense."""
+    rows: list[dict[str, float]] = []
+    for people in CROWDS:
+        simulator = busy_simulator(people, SCALING_WORLDS)
+        still = Command(np.zeros(SCALING_WORLDS, np.float32), np.zeros(SCALING_WORLDS, np.float32))
+
+        def step(simulator: Simulator = simulator, still: Command = still) -> None:
+            simulator.step(still)
+            simulator.sense()
+
+        rows.append({"people": people, "us_per_world_step": median_us(step, seconds / 4) / SCALING_WORLDS})
+        print(f"{rows[-1]['us_per_world_step']:9.1f} us a world step with {people} people  (one thread, both sensors)")
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--worlds", type=int, default=64)
-    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--seconds", type=float, default=5.0, help="for each figure, about")
     args = parser.parse_args()
     results = {}
     for threads in sorted({1, available_threads()}):
         results[threads] = steps_per_second(args.worlds, threads, args.seconds)
         print(f"{results[threads]:9.0f} environment steps/s  ({threads} threads, {args.worlds} worlds, ", end="")
         print(f"{PEOPLE} people, {OBSTACLES} obstacles, lidar and depth camera)")
+    simulator = busy_simulator(PEOPLE, args.worlds)
+    speedups = compare_with_peers(simulator, args.seconds)
+    print(f"{simulator.bytes_per_world:9d} bytes a world  (its last scan and depth image included)")
+    scaling = people_scaling(args.seconds)
     if args.json:
         threads = max(results)
         record = {"env_steps_per_s": results[threads], "threads": threads, "processor": platform.processor()}
+        record |= {**speedups, "bytes_per_world": simulator.bytes_per_world, "people_scaling": scaling}
         args.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 

@@ -253,3 +253,12 @@ def test_bad_configuration_names_the_value():
         RobotConfig(radius_m=-1)
     with pytest.raises(ValueError, match="num_worlds is 0"):
         Simulator(make_scenario("dense-ped"), 0)
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_world_fits_in_64_kib(name):
+    sim = Simulator(make_scenario(name), 2)
+    sim.reset(np.arange(2))
+    assert sim.bytes_per_world <= 64 * 1024
+    sensed = sim.sense()
+    assert sim.bytes_per_world >= (sensed.scan_m.nbytes + sensed.depth_m.nbytes) // 2

@@ -202,7 +202,6 @@ def sense(
     which,
     scans,
     images,
-    scratch,
     ray_x,
     ray_y,
     lidar_fov,
@@ -216,6 +215,7 @@ def sense(
     ceiling,
 ):
     """Lidar scans [B, rays] and depth images [B, height, width] of the worlds marked in `which`."""
+    columns = np.empty((column_slope.shape[0], row_slope.shape[0]), np.float32)
     for b in range(first, last):
         if not which[b]:
             continue
@@ -225,7 +225,7 @@ def sense(
         scan(scans[b], ray_x, ray_y, lidar_fov, lidar_range, lidar_height, x, y, yaw, boxes, cylinders)
         render_depth(
             images[b],
-            scratch[b],
+            columns,
             column_slope,
             row_slope,
             camera_min,

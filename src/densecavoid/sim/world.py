@@ -96,7 +96,6 @@ class Simulator:
         self._row_slope = camera.row_slopes.astype(np.float32)
         self._scan = np.full((num_worlds, lidar.num_rays), np.inf, np.float32)
         self._depth = np.full((num_worlds, camera.height, camera.width), np.nan, np.float32)
-        self._depth_scratch = np.zeros((num_worlds, camera.width, camera.height), np.float32)
 
     # -- the episode ---------------------------------------------------------------------------------------------------
 
@@ -153,7 +152,6 @@ class Simulator:
             which,
             self._scan,
             self._depth,
-            self._depth_scratch,
             self._ray_x,
             self._ray_y,
             lidar.fov_rad,
@@ -291,6 +289,12 @@ class Simulator:
         """Distance from each point to the nearest surface in world b that the robot could hit."""
         top = self.config.robot.height_m
         return np.array([kernels.nearest_surfaces(self._state, b, x, y, top)[0] for x, y in points])
+
+    @property
+    def bytes_per_world(self) -> int:
+        """Memory of one world with its last scan and depth image; the same for all, as large as the largest needs."""
+        arrays = (*self._state, self._scan, self._depth)
+        return sum(array.nbytes for array in arrays) // self.num_worlds
 
     # -- saving --------------------------------------------------------------------------------------------------------
 
