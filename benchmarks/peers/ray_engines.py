@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pybullet
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from densecavoid.frames import CameraConfig, LidarConfig
 from densecavoid.sim.floorplan import WALL_HEIGHT_M, FloorPlan
@@ -30,9 +31,8 @@ class Hits(NamedTuple):
 
 def lidar_rays(config: LidarConfig, pose: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
     """Origin [3] and unit directions [rays, 3] of a scanner on a robot at `pose`, in the world frame."""
-    x, y, yaw = pose
-    bearing = yaw + config.angles_rad
-    return np.array([x, y, config.mount_height_m]), np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
+    bearing = pose[2] + config.angles_rad
+    return _mount(config, pose), np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
 
 
 def camera_rays(config: CameraConfig, pose: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
@@ -40,11 +40,15 @@ def camera_rays(config: CameraConfig, pose: Float[np.ndarray, "3"]) -> tuple[np.
 
     The directions have length 1 along the optical axis, so a distance in their units is a depth.
     """
-    x, y, yaw = pose
     left, up = np.meshgrid(config.column_slopes, config.row_slopes)
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    directions = np.stack([cos - left * sin, sin + left * cos, up], axis=-1).reshape(-1, 3)
-    return np.array([x, y, config.mount_height_m]), directions
+    turn = Rotation.from_euler("ZY", [pose[2], config.mount_pitch_rad])
+    return _mount(config, pose), turn.apply(np.stack([np.ones_like(left), left, up], axis=-1).reshape(-1, 3))
+
+
+def _mount(config: LidarConfig | CameraConfig, pose: Float[np.ndarray, "3"]) -> np.ndarray:
+    x, y, yaw = pose
+    ahead = config.mount_x_m
+    return np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), config.mount_height_m])
 
 
 class MujocoRays:
@@ -132,7 +136,7 @@ class PybulletRays:
         return cast
 
     def depth_image(self, config: CameraConfig, pose: Float[np.ndarray, "3"]) -> Callable[[], np.ndarray]:
-        """A call that renders the depth buffer [height, width] of a camera with PyBullet's software renderer."""
+        """A call that renders the depth buffer [height, width] of a level camera with PyBullet's software renderer."""
         eye = np.array([pose[0], pose[1], config.mount_height_m])
         ahead = eye + np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
         view = pybullet.computeViewMatrix(

@@ -15,6 +15,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
 
+def _require_mount_and_clock(name: str, config: LidarConfig | CameraConfig) -> None:
+    require(math.isfinite(config.mount_x_m), f"{name}.mount_x_m", config.mount_x_m, "finite")
+    for field_name in ("rate_hz", "latency_s"):
+        value = getattr(config, field_name)
+        require(value >= 0 and math.isfinite(value), f"{name}.{field_name}", value, "0 or more")
+
+
 @dataclass(frozen=True)
 class LidarConfig:
     """A planar scanner. The default is the paper's Hokuyo: 240 degrees, 512 ranges, 4 m (paper, Implementation)."""
@@ -22,12 +29,26 @@ class LidarConfig:
     num_rays: int = 512
     fov_rad: float = math.radians(240.0)
     max_range_m: float = 4.0
+    min_range_m: float = 0.02
+    """Nearer surfaces give no range; exact (`clean`) sensors have no such limit."""
     mount_height_m: float = 0.26
+    mount_x_m: float = 0.0
+    """Ahead of the robot's centre."""
+    rate_hz: float = 0.0
+    """Scans a second; 0 (or faster than the control) is a scan each control step."""
+    latency_s: float = 0.0
+    """Age of a scan when it is given out; a whole number of control steps."""
 
     def __post_init__(self) -> None:
+        _require_mount_and_clock("LidarConfig", self)
         require(self.num_rays >= 2, "LidarConfig.num_rays", self.num_rays, "at least 2")
         require(0 < self.fov_rad <= 2 * math.pi, "LidarConfig.fov_rad", self.fov_rad, "in (0, 2 pi]")
-        require(self.max_range_m > 0, "LidarConfig.max_range_m", self.max_range_m, "positive")
+        require(
+            0 <= self.min_range_m < self.max_range_m,
+            "LidarConfig ranges",
+            (self.min_range_m, self.max_range_m),
+            "0 <= min_range_m < max_range_m",
+        )
         require(self.mount_height_m > 0, "LidarConfig.mount_height_m", self.mount_height_m, "positive")
 
     @property
@@ -38,7 +59,7 @@ class LidarConfig:
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """A level, forward-looking depth camera. The default is the paper's Orbbec Astra at the policy's resolution."""
+    """A forward-looking depth camera. The default is the paper's Orbbec Astra at the policy's resolution."""
 
     width: int = 80
     height: int = 60
@@ -47,8 +68,23 @@ class CameraConfig:
     min_range_m: float = 1.4
     max_range_m: float = 5.0
     mount_height_m: float = 0.40
+    mount_x_m: float = 0.0
+    """Ahead of the robot's centre."""
+    mount_pitch_rad: float = 0.0
+    """Turned about the robot's y axis: positive looks down (REP-103)."""
+    rate_hz: float = 0.0
+    """Images a second; 0 (or faster than the control) is an image each control step."""
+    latency_s: float = 0.0
+    """Age of an image when it is given out; a whole number of control steps."""
 
     def __post_init__(self) -> None:
+        _require_mount_and_clock("CameraConfig", self)
+        require(
+            abs(self.mount_pitch_rad) + self.fov_vertical_rad / 2 < math.radians(89),
+            "CameraConfig.mount_pitch_rad",
+            self.mount_pitch_rad,
+            "small enough that no pixel looks straight up or down",
+        )
         require(self.width >= 2 and self.height >= 2, "CameraConfig size", (self.width, self.height), "at least 2 x 2")
         for name in ("fov_horizontal_rad", "fov_vertical_rad"):
             require(0 < getattr(self, name) < math.pi, f"CameraConfig.{name}", getattr(self, name), "in (0, pi)")
@@ -69,12 +105,12 @@ class CameraConfig:
 
     @property
     def column_slopes(self) -> Float[np.ndarray, "width"]:
-        """y / x of the ray through the centre of each column (left positive, column 0 is the leftmost)."""
+        """Of the ray through the centre of each column: left per forward, of the camera (column 0 is the leftmost)."""
         return (self.width / 2 - (np.arange(self.width) + 0.5)) / self.focal_px[0]
 
     @property
     def row_slopes(self) -> Float[np.ndarray, "height"]:
-        """z / x of the ray through the centre of each row (up positive, row 0 is the topmost)."""
+        """Of the ray through the centre of each row: up per forward, of the camera (row 0 is the topmost)."""
         return (self.height / 2 - (np.arange(self.height) + 0.5)) / self.focal_px[1]
 
 

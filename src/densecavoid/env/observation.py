@@ -37,6 +37,12 @@ class ObserverConfig:
     def __post_init__(self) -> None:
         choose("ObserverConfig.people_from", self.people_from, ("truth", "nothing"))
         require(0.0 <= self.horizon_s <= 5.0, "ObserverConfig.horizon_s", self.horizon_s, "in [0, 5] s")
+        if self.people_from != "nothing":
+            # People's boxes are drawn for a level camera over the robot's centre (perception/projection.py).
+            mount = (self.camera.mount_x_m, self.camera.mount_pitch_rad)
+            require(
+                mount == (0.0, 0.0), "camera's (mount_x_m, mount_pitch_rad)", mount, "(0, 0), or people_from nothing"
+            )
         require(self.control_dt_s > 0, "ObserverConfig.control_dt_s", self.control_dt_s, "positive")
 
     @property

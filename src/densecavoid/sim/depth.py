@@ -1,14 +1,17 @@
-"""The level depth camera: for each world, the depth of the nearest surface in each pixel.
+"""The depth camera: for each world, the depth of the nearest surface in each pixel.
 
-All pixels of a column share one vertical plane, so footprints are met once a column and heights once a pixel.
+In a level camera all pixels of a column share one vertical plane, so footprints are met once a column and heights once
+a pixel. A pitched camera takes the general way, each pixel by itself.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from densecavoid.frames import CameraConfig
 from densecavoid.sim._jit import kernel
 from densecavoid.sim.geometry import (
     BOX_COS,
@@ -26,6 +29,33 @@ from densecavoid.sim.geometry import (
     CYL_Z_MIN,
 )
 from densecavoid.sim.rays import MISS, disc_interval, prism_distance, rectangle_interval
+
+
+class CameraOptics(NamedTuple):
+    """A `CameraConfig` and the room's ceiling as the kernels read them."""
+
+    column_slope: np.ndarray  # f32 [width]
+    row_slope: np.ndarray  # f32 [height]
+    min_range: np.float32
+    max_range: np.float32
+    height: float
+    ahead: float
+    pitch: float
+    ceiling: float
+
+
+def camera_optics(config: CameraConfig, ceiling_m: float) -> CameraOptics:
+    """The camera's rays in its own frame, and where it is."""
+    return CameraOptics(
+        config.column_slopes.astype(np.float32),
+        config.row_slopes.astype(np.float32),
+        np.float32(config.min_range_m),
+        np.float32(config.max_range_m),
+        float(config.mount_height_m),
+        float(config.mount_x_m),
+        float(config.mount_pitch_rad),
+        float(ceiling_m),
+    )
 
 
 @kernel
@@ -47,13 +77,14 @@ def _fill_column(column, row_slope, entry, leave, z_min, z_max):
 
 
 @kernel
-def render_depth(
-    image, columns, column_slope, row_slope, min_range, max_range, height, ceiling, x, y, yaw, boxes, cylinders
-):
-    """Fills `image` [height, width] with depths for a camera at (x, y, height) looking along `yaw`; NaN for none.
+def render_level_depth(image, columns, camera, x, y, yaw, boxes, cylinders):
+    """Fills `image` [height, width] with depths for a level camera at (x, y) looking along `yaw`; NaN for none.
 
     `columns` [width, height] is scratch space: the same image with the rows innermost, where loops vectorise.
     """
+    column_slope, row_slope = camera.column_slope, camera.row_slope
+    min_range, max_range = camera.min_range, camera.max_range
+    height, ceiling = camera.height, camera.ceiling
     width, rows = columns.shape
     half_fov = math.atan(column_slope[0]) + 1e-3
     focal = (width - 1) / (column_slope[0] - column_slope[width - 1])
@@ -112,3 +143,91 @@ def render_depth(
         for r in range(rows):
             t = columns[c, r]
             image[r, c] = t if (t >= min_range) & (t <= max_range) else np.float32(np.nan)
+
+
+@kernel
+def _row_span(tan_left, tan_right, focal, width):
+    """First and one-past-last column of one row that can show what lies between two slopes (left per forward)."""
+    first = math.ceil(0.5 * width - 0.5 - tan_left * focal - 1e-3)
+    last = math.floor(0.5 * width - 0.5 - tan_right * focal + 1e-3) + 1
+    return max(0, first), min(width, last)
+
+
+@kernel
+def _slopes_of_disc(forward, left, radius):
+    """Slopes (left per forward) between which a disc is seen from the origin; an empty span behind it."""
+    distance = math.sqrt(forward * forward + left * left)
+    half_width = math.asin(radius / distance) if distance > radius else math.pi
+    bearing, limit = math.atan2(left, forward), 0.5 * math.pi - 1e-4
+    upper, lower = min(bearing + half_width, limit), max(bearing - half_width, -limit)
+    if upper <= lower:
+        return -1.0, 1.0
+    return math.tan(upper), math.tan(lower)
+
+
+@kernel
+def render_depth(image, camera, x, y, yaw, boxes, cylinders):
+    """Fills `image` [height, width] with depths for a camera of any pitch at (x, y), turned to `yaw`; NaN for none."""
+    column_slope, row_slope = camera.column_slope, camera.row_slope
+    height = camera.height
+    rows, width = image.shape
+    focal = (width - 1) / (column_slope[0] - column_slope[width - 1])
+    # A ray of depth 1 in the robot's upright frame: `forward`, the column's slope to the left, and `rise`.
+    cos_pitch, sin_pitch = math.cos(camera.pitch), math.sin(camera.pitch)
+    forward, rise = np.empty(rows, np.float32), np.empty(rows, np.float32)
+    for r in range(rows):
+        forward[r] = cos_pitch + row_slope[r] * sin_pitch
+        rise[r] = row_slope[r] * cos_pitch - sin_pitch
+        flat = MISS
+        if rise[r] < 0.0:
+            flat = np.float32(-height / rise[r])
+        elif rise[r] > 0.0:
+            flat = np.float32((camera.ceiling - height) / rise[r])
+        image[r] = flat
+    reach = camera.max_range * forward.max()
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    for i in range(cylinders.shape[0]):
+        cylinder = cylinders[i]
+        radius = cylinder[CYL_RADIUS]
+        if radius <= 0.0:
+            continue
+        rel_x, rel_y = cylinder[CYL_X] - x, cylinder[CYL_Y] - y
+        centre_x = np.float32(cos * rel_x + sin * rel_y)
+        centre_y = np.float32(cos * rel_y - sin * rel_x)
+        if centre_x + radius < 0.0 or centre_x - radius > reach:
+            continue
+        tan_left, tan_right = _slopes_of_disc(centre_x, centre_y, radius)
+        z_min, z_max = np.float32(cylinder[CYL_Z_MIN] - height), np.float32(cylinder[CYL_Z_MAX] - height)
+        for r in range(rows):
+            first, last = _row_span(tan_left, tan_right, focal * forward[r], width)
+            for c in range(first, last):
+                entry, leave = disc_interval(centre_x, centre_y, radius, forward[r], column_slope[c])
+                t = prism_distance(entry, leave, rise[r], z_min, z_max)
+                image[r, c] = t if t < image[r, c] else image[r, c]
+    for i in range(boxes.shape[0]):
+        box = boxes[i]
+        rel_x, rel_y = box[BOX_X] - x, box[BOX_Y] - y
+        centre_x, centre_y = cos * rel_x + sin * rel_y, cos * rel_y - sin * rel_x
+        half_x, half_y = box[BOX_HALF_LENGTH], box[BOX_HALF_WIDTH]
+        radius = math.sqrt(half_x**2 + half_y**2)
+        if centre_x + radius < 0.0 or centre_x - radius > reach:
+            continue
+        tan_left, tan_right = _slopes_of_disc(centre_x, centre_y, radius)
+        box_cos, box_sin = box[BOX_COS], box[BOX_SIN]
+        local_x = np.float32(-(box_cos * rel_x + box_sin * rel_y))
+        local_y = np.float32(-(box_cos * rel_y - box_sin * rel_x))
+        turn_cos = np.float32(box_cos * cos + box_sin * sin)
+        turn_sin = np.float32(box_cos * sin - box_sin * cos)
+        z_min, z_max = np.float32(box[BOX_Z_MIN] - height), np.float32(box[BOX_Z_MAX] - height)
+        for r in range(rows):
+            first, last = _row_span(tan_left, tan_right, focal * forward[r], width)
+            for c in range(first, last):
+                ray_x = turn_cos * forward[r] - turn_sin * column_slope[c]
+                ray_y = turn_sin * forward[r] + turn_cos * column_slope[c]
+                entry, leave = rectangle_interval(local_x, local_y, half_x, half_y, ray_x, ray_y)
+                t = prism_distance(entry, leave, rise[r], z_min, z_max)
+                image[r, c] = t if t < image[r, c] else image[r, c]
+    for r in range(rows):
+        for c in range(width):
+            t = image[r, c]
+            image[r, c] = t if (t >= camera.min_range) & (t <= camera.max_range) else np.float32(np.nan)

@@ -10,7 +10,7 @@ from densecavoid.sim._jit import kernel
 from densecavoid.sim.crowds.recorded import follow_recording
 from densecavoid.sim.crowds.scripted import intend_scripted
 from densecavoid.sim.crowds.steering import move_people
-from densecavoid.sim.depth import render_depth
+from densecavoid.sim.depth import render_depth, render_level_depth
 from densecavoid.sim.geometry import (
     BOX_HALF_LENGTH,
     BOX_HALF_WIDTH,
@@ -195,46 +195,20 @@ def begin(first, last, state, recordings, replay_reactive, which, robot_height, 
 
 
 @kernel
-def sense(
-    first,
-    last,
-    state,
-    which,
-    scans,
-    images,
-    ray_x,
-    ray_y,
-    lidar_fov,
-    lidar_range,
-    lidar_height,
-    column_slope,
-    row_slope,
-    camera_min,
-    camera_max,
-    camera_height,
-    ceiling,
-):
+def sense(first, last, state, which, scans, images, lidar, camera):
     """Lidar scans [B, rays] and depth images [B, height, width] of the worlds marked in `which`."""
-    columns = np.empty((column_slope.shape[0], row_slope.shape[0]), np.float32)
+    columns = np.empty((camera.column_slope.shape[0], camera.row_slope.shape[0]), np.float32)
     for b in range(first, last):
         if not which[b]:
             continue
         x, y, yaw = state.robot_pose[b]
+        cos, sin = math.cos(yaw), math.sin(yaw)
         boxes = state.boxes[b, : state.num_boxes[b]]
         cylinders = state.cylinders[b, : state.num_cylinders[b]]
-        scan(scans[b], ray_x, ray_y, lidar_fov, lidar_range, lidar_height, x, y, yaw, boxes, cylinders)
-        render_depth(
-            images[b],
-            columns,
-            column_slope,
-            row_slope,
-            camera_min,
-            camera_max,
-            camera_height,
-            ceiling,
-            x,
-            y,
-            yaw,
-            boxes,
-            cylinders,
-        )
+        lidar_x, lidar_y = x + cos * lidar.ahead, y + sin * lidar.ahead
+        scan(scans[b], lidar, lidar_x, lidar_y, yaw, boxes, cylinders)
+        camera_x, camera_y = x + cos * camera.ahead, y + sin * camera.ahead
+        if camera.pitch == 0.0:
+            render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, boxes, cylinders)
+        else:
+            render_depth(images[b], camera, camera_x, camera_y, yaw, boxes, cylinders)

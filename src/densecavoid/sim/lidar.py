@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from densecavoid.frames import LidarConfig
 from densecavoid.sim._jit import kernel
 from densecavoid.sim.geometry import (
     BOX_COS,
@@ -25,6 +27,30 @@ from densecavoid.sim.geometry import (
 from densecavoid.sim.rays import MISS, disc_interval, rectangle_interval
 
 
+class LidarOptics(NamedTuple):
+    """A `LidarConfig` as the kernel reads it."""
+
+    ray_x: np.ndarray  # f32 [rays]
+    ray_y: np.ndarray  # f32 [rays]
+    fov: float
+    max_range: np.float32
+    height: float
+    ahead: float
+
+
+def lidar_optics(config: LidarConfig) -> LidarOptics:
+    """The scanner's rays in its own frame, and where it is."""
+    angles = config.angles_rad
+    return LidarOptics(
+        np.cos(angles).astype(np.float32),
+        np.sin(angles).astype(np.float32),
+        float(config.fov_rad),
+        np.float32(config.max_range_m),
+        float(config.mount_height_m),
+        float(config.mount_x_m),
+    )
+
+
 @kernel
 def _ray_span(bearing, half_width, turn, fov, num_rays):
     """First and one-past-last ray that can meet something at `bearing` +- `half_width`, seen `turn` turns on."""
@@ -35,8 +61,10 @@ def _ray_span(bearing, half_width, turn, fov, num_rays):
 
 
 @kernel
-def scan(ranges, dir_x, dir_y, fov, max_range, height, x, y, yaw, boxes, cylinders):
-    """Fills `ranges` [rays] for a scanner at (x, y, height) with heading `yaw`; inf where nothing is in range."""
+def scan(ranges, lidar, x, y, yaw, boxes, cylinders):
+    """Fills `ranges` [rays] for a scanner at (x, y) with heading `yaw`; inf where nothing is in range."""
+    dir_x, dir_y, fov = lidar.ray_x, lidar.ray_y, lidar.fov
+    max_range, height = lidar.max_range, lidar.height
     ranges[:] = MISS
     num_rays = ranges.shape[0]
     cos, sin = math.cos(yaw), math.sin(yaw)

@@ -2,69 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from densecavoid.frames import (
-    CameraConfig,
-    Command,
-    LidarConfig,
-    People,
-    RobotConfig,
-    SensorFrame,
-    Truth,
-    choose,
-    require,
-)
+from densecavoid.frames import Command, People, SensorFrame, Truth, require
 from densecavoid.sim import kernels
 from densecavoid.sim._jit import for_worlds
+from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds.recorded import Recordings, no_recordings
 from densecavoid.sim.crowds.recording import Recording
-from densecavoid.sim.floorplan import WALL_HEIGHT_M, FloorPlan
+from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import ABSENT, PARTS, STANDING
+from densecavoid.sim.sensors import SensorSuite
 from densecavoid.sim.spec import Scenario, WorldSpec
 from densecavoid.sim.state import WorldState, allocate, capacity, with_room
-
-
-@dataclass(frozen=True)
-class SimConfig:
-    """The body and the clock (BENCHMARK, The robot and the clock)."""
-
-    lidar: LidarConfig = field(default_factory=LidarConfig)
-    camera: CameraConfig = field(default_factory=CameraConfig)
-    robot: RobotConfig = field(default_factory=RobotConfig)
-    dynamics: Literal["ideal", "dynamic"] = "ideal"
-    """ideal: commands take effect at once. dynamic: acceleration limits and one control step of delay."""
-    sensors: Literal["clean"] = "clean"
-    """clean: exact sensors."""
-    people: Literal["scripted", "reactive"] = "scripted"
-    """scripted: nobody notices the robot (the paper's people). reactive: everybody makes way for it."""
-    control_dt_s: float = 0.1
-    physics_dt_s: float = 0.05
-    threads: int = 0
-    """Threads over the worlds; 0 takes all cores."""
-
-    def __post_init__(self) -> None:
-        choose("SimConfig.dynamics", self.dynamics, ("ideal", "dynamic"))
-        choose("SimConfig.sensors", self.sensors, ("clean",))
-        choose("SimConfig.people", self.people, ("scripted", "reactive"))
-        require(0 < self.physics_dt_s <= 0.05, "SimConfig.physics_dt_s", self.physics_dt_s, "in (0, 0.05] s")
-        ratio = self.control_dt_s / self.physics_dt_s
-        require(
-            ratio >= 1 and abs(ratio - round(ratio)) < 1e-9,
-            "SimConfig.control_dt_s",
-            self.control_dt_s,
-            f"a multiple of physics_dt_s = {self.physics_dt_s}",
-        )
-        require(self.threads >= 0, "SimConfig.threads", self.threads, "0 (all cores) or more")
-
-    @property
-    def sub_steps(self) -> int:
-        """Physics steps a control step."""
-        return round(self.control_dt_s / self.physics_dt_s)
 
 
 class Simulator:
@@ -89,13 +40,7 @@ class Simulator:
         self._recordings = no_recordings()
         self._known_recordings: list[Recording] = []
         self._replay_reactive = np.zeros(num_worlds, np.bool_)
-        lidar, camera = self.config.lidar, self.config.camera
-        self._ray_x = np.cos(lidar.angles_rad).astype(np.float32)
-        self._ray_y = np.sin(lidar.angles_rad).astype(np.float32)
-        self._column_slope = camera.column_slopes.astype(np.float32)
-        self._row_slope = camera.row_slopes.astype(np.float32)
-        self._scan = np.full((num_worlds, lidar.num_rays), np.inf, np.float32)
-        self._depth = np.full((num_worlds, camera.height, camera.width), np.nan, np.float32)
+        self._sensors = SensorSuite(self.config, num_worlds)
 
     # -- the episode ---------------------------------------------------------------------------------------------------
 
@@ -144,30 +89,16 @@ class Simulator:
         )
 
     def sense(self, which: Bool[np.ndarray, "B"] | None = None) -> SensorFrame:
-        """What the sensors give now. Worlds not marked in `which` keep their last scan and image."""
-        lidar, camera = self.config.lidar, self.config.camera
-        which = np.ones(self.num_worlds, np.bool_) if which is None else which
-        self._run(
-            kernels.sense,
-            which,
-            self._scan,
-            self._depth,
-            self._ray_x,
-            self._ray_y,
-            lidar.fov_rad,
-            np.float32(lidar.max_range_m),
-            lidar.mount_height_m,
-            self._column_slope,
-            self._row_slope,
-            np.float32(camera.min_range_m),
-            np.float32(camera.max_range_m),
-            camera.mount_height_m,
-            WALL_HEIGHT_M,
-        )
+        """What the sensors give now. Worlds not marked in `which` keep their last scan and image.
+
+        Sensors with a latency or a rate of their own remember what they measured when this was called: call it once
+        each control step.
+        """
+        scan_m, depth_m = self._sensors.sense(self._state, which)
         return SensorFrame(
             time_s=self.time_s,
-            scan_m=self._scan,
-            depth_m=self._depth,
+            scan_m=scan_m,
+            depth_m=depth_m,
             odom_pose=self.robot_pose,
             velocity=self.robot_velocity.astype(np.float32),
             goal_odom=self.goal,
@@ -293,8 +224,7 @@ class Simulator:
     @property
     def bytes_per_world(self) -> int:
         """Memory of one world with its last scan and depth image; the same for all, as large as the largest needs."""
-        arrays = (*self._state, self._scan, self._depth)
-        return sum(array.nbytes for array in arrays) // self.num_worlds
+        return (sum(array.nbytes for array in self._state) + self._sensors.nbytes) // self.num_worlds
 
     # -- saving --------------------------------------------------------------------------------------------------------
 
@@ -303,7 +233,7 @@ class Simulator:
         arrays = {name: np.copy(value) for name, value in self._state._asdict().items()}
         arrays["scenario_name"] = np.array(self.scenario_name)
         arrays["replay_reactive"] = self._replay_reactive.copy()
-        return arrays
+        return arrays | self._sensors.state_dict()
 
     def load_state_dict(self, arrays: dict[str, np.ndarray]) -> None:
         """Goes on from a `state_dict` of a simulator with as many worlds.
@@ -317,6 +247,7 @@ class Simulator:
         self._state = WorldState(**{name: np.array(arrays[name]) for name in WorldState._fields})
         self.scenario_name = [str(name) for name in arrays["scenario_name"]]
         self._replay_reactive = np.array(arrays["replay_reactive"])
+        self._sensors.load_state_dict(arrays)
 
     # -- inside --------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,119 @@
+"""The robot's sensors in all worlds: what they measure, how often, and how late it is given out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+
+from densecavoid.frames import require
+from densecavoid.sim import kernels
+from densecavoid.sim._jit import for_worlds
+from densecavoid.sim.config import SimConfig
+from densecavoid.sim.depth import camera_optics
+from densecavoid.sim.floorplan import WALL_HEIGHT_M
+from densecavoid.sim.lidar import lidar_optics
+from densecavoid.sim.state import WorldState
+
+
+class DelayLine:
+    """Frames of one sensor, given out at its own rate and some control steps after they were measured."""
+
+    def __init__(self, frame: Float32[np.ndarray, "B ..."], every: int, late: int) -> None:
+        """Makes room for the past.
+
+        Args:
+            frame: what the sensor writes its measurement into, each control step.
+            every: control steps between two frames that are given out.
+            late: control steps between measuring a frame and giving it out.
+        """
+        require(every >= 1 and late >= 0, "DelayLine (every, late)", (every, late), "at least (1, 0)")
+        self.frame = frame
+        self.every, self.late = every, late
+        self.immediate = every == 1 and late == 0
+        self._given = frame if self.immediate else frame.copy()
+        slots = 0 if self.immediate else every + late
+        self._past = np.zeros((slots, *frame.shape), np.float32)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all worlds."""
+        return self.frame.nbytes + (0 if self.immediate else self._given.nbytes + self._past.nbytes)
+
+    def pass_on(self, step: Int[np.ndarray, "B"], which: Bool[np.ndarray, "B"]) -> Float32[np.ndarray, "B ..."]:
+        """Takes in what was measured in the marked worlds at `step`, and gives what has come through by then.
+
+        Until the first frame has come through, it is the episode's first.
+        """
+        if self.immediate:
+            return self.frame
+        worlds, slots = np.flatnonzero(which), len(self._past)
+        now = step[worlds]
+        measured = np.maximum((now - self.late) // self.every * self.every, 0)
+        self._past[now % slots, worlds] = self.frame[worlds]
+        self._given[worlds] = self._past[measured % slots, worlds]
+        return self._given
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Its memory, where it has any."""
+        return {} if self.immediate else {"past": self._past.copy(), "given": self._given.copy()}
+
+    def load(self, past: np.ndarray, given: np.ndarray) -> None:
+        """Goes on from a `state`."""
+        require(past.shape == self._past.shape, "saved sensor frames", past.shape, str(self._past.shape))
+        self._past[:], self._given[:] = past, given
+
+
+class SensorSuite:
+    """A lidar and a depth camera on each robot."""
+
+    def __init__(self, config: SimConfig, num_worlds: int) -> None:
+        self.config = config
+        lidar, camera = config.lidar, config.camera
+        self._lidar, self._camera = lidar_optics(lidar), camera_optics(camera, WALL_HEIGHT_M)
+        scan = np.full((num_worlds, lidar.num_rays), np.inf, np.float32)
+        image = np.full((num_worlds, camera.height, camera.width), np.nan, np.float32)
+        self._lines = {
+            "scan": DelayLine(scan, *config.sensor_clock(lidar)),
+            "depth": DelayLine(image, *config.sensor_clock(camera)),
+        }
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all worlds."""
+        return sum(line.nbytes for line in self._lines.values())
+
+    def sense(
+        self, state: WorldState, which: Bool[np.ndarray, "B"] | None = None
+    ) -> tuple[Float32[np.ndarray, "B rays"], Float32[np.ndarray, "B height width"]]:
+        """Scans and depth images of the marked worlds (all, without `which`); the others keep their last.
+
+        The arrays are written again by the next call.
+        """
+        num_worlds = len(state.goal)
+        which = np.ones(num_worlds, np.bool_) if which is None else which
+        scan, depth = self._lines["scan"], self._lines["depth"]
+        for_worlds(
+            kernels.sense,
+            num_worlds,
+            self.config.threads,
+            state,
+            which,
+            scan.frame,
+            depth.frame,
+            self._lidar,
+            self._camera,
+        )
+        return scan.pass_on(state.step_count, which), depth.pass_on(state.step_count, which)
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """What the sensors remember, as arrays; nothing for sensors without latency."""
+        lines = self._lines.items()
+        return {f"sensors.{name}.{key}": value for name, line in lines for key, value in line.state().items()}
+
+    def load_state_dict(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Goes on from a `state_dict` of the same sensors in as many worlds."""
+        for name, line in self._lines.items():
+            if not line.immediate:
+                line.load(arrays[f"sensors.{name}.past"], arrays[f"sensors.{name}.given"])
