@@ -165,7 +165,7 @@ class SensorFrame:
     depth_m: Float32[np.ndarray, "B height width"]
     """Distance along the optical axis; NaN where there is none. Row 0 is the top, column 0 the left."""
     odom_pose: Float[np.ndarray, "B 3"]
-    """x, y, yaw of the robot in the odometry frame."""
+    """x, y, yaw of the robot in the odometry frame, which is the world's at the start of an episode and then drifts."""
     velocity: Float32[np.ndarray, "B 2"]
     """Measured linear (m/s) and angular (rad/s) velocity."""
     goal_odom: Float[np.ndarray, "B 2"]

@@ -58,7 +58,7 @@ class BenchmarkConfig:
     """Folder of the recordings, for the scenarios that need them."""
     people: Literal["scripted", "reactive"] = "scripted"
     dynamics: Literal["ideal", "dynamic"] = "ideal"
-    sensors: Literal["clean"] = "clean"
+    sensors: Literal["clean", "real"] = "clean"
     batch_size: int = 16
     """Worlds simulated at once by each process."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, choose, require
+from densecavoid.sim.noise import SensorNoiseConfig
 
 
 @dataclass(frozen=True)
@@ -17,8 +18,9 @@ class SimConfig:
     robot: RobotConfig = field(default_factory=RobotConfig)
     dynamics: Literal["ideal", "dynamic"] = "ideal"
     """ideal: commands take effect at once. dynamic: acceleration limits and one control step of delay."""
-    sensors: Literal["clean"] = "clean"
-    """clean: exact sensors."""
+    sensors: Literal["clean", "real"] = "clean"
+    """clean: exact sensors. real: with the errors of `noise`, and odometry that drifts."""
+    noise: SensorNoiseConfig = field(default_factory=SensorNoiseConfig)
     people: Literal["scripted", "reactive"] = "scripted"
     """scripted: nobody notices the robot (the paper's people). reactive: everybody makes way for it."""
     control_dt_s: float = 0.1
@@ -28,7 +30,7 @@ class SimConfig:
 
     def __post_init__(self) -> None:
         choose("SimConfig.dynamics", self.dynamics, ("ideal", "dynamic"))
-        choose("SimConfig.sensors", self.sensors, ("clean",))
+        choose("SimConfig.sensors", self.sensors, ("clean", "real"))
         choose("SimConfig.people", self.people, ("scripted", "reactive"))
         require(0 < self.physics_dt_s <= 0.05, "SimConfig.physics_dt_s", self.physics_dt_s, "in (0, 0.05] s")
         ratio = self.control_dt_s / self.physics_dt_s

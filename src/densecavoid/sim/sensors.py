@@ -1,14 +1,14 @@
-"""The robot's sensors in all worlds: what they measure, how often, and how late it is given out."""
+"""The robot's sensors in all worlds: what they measure, how well, how often, and how late it is given out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from densecavoid.frames import require
-from densecavoid.sim import kernels
+from densecavoid.sim import kernels, noise
 from densecavoid.sim._jit import for_worlds
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.depth import camera_optics
@@ -66,7 +66,7 @@ class DelayLine:
 
 
 class SensorSuite:
-    """A lidar and a depth camera on each robot."""
+    """A lidar, a depth camera and odometry on each robot."""
 
     def __init__(self, config: SimConfig, num_worlds: int) -> None:
         self.config = config
@@ -74,6 +74,14 @@ class SensorSuite:
         self._lidar, self._camera = lidar_optics(lidar), camera_optics(camera, WALL_HEIGHT_M)
         scan = np.full((num_worlds, lidar.num_rays), np.inf, np.float32)
         image = np.full((num_worlds, camera.height, camera.width), np.nan, np.float32)
+        self.real = config.sensors == "real"
+        self._errors = (
+            noise.scan_noise(config.noise, lidar),
+            noise.depth_noise(config.noise, camera),
+            noise.odometry_noise(config.noise),
+        )
+        self._seeds = np.zeros(num_worlds, np.uint64)
+        self._odometry, self._last_pose = np.zeros((2, num_worlds, 3))
         self._lines = {
             "scan": DelayLine(scan, *config.sensor_clock(lidar)),
             "depth": DelayLine(image, *config.sensor_clock(camera)),
@@ -82,38 +90,47 @@ class SensorSuite:
     @property
     def nbytes(self) -> int:
         """Memory of all worlds."""
-        return sum(line.nbytes for line in self._lines.values())
+        memory = (self._seeds, self._odometry, self._last_pose)
+        return sum(line.nbytes for line in self._lines.values()) + sum(array.nbytes for array in memory)
+
+    def reset(self, seeds: Int[np.ndarray, "B"], which: Bool[np.ndarray, "B"]) -> None:
+        """Begins new episodes in the marked worlds, whose errors follow from their seeds."""
+        self._seeds[which] = seeds[which].astype(np.uint64)
+        self._last_pose[which] = np.nan
 
     def sense(
         self, state: WorldState, which: Bool[np.ndarray, "B"] | None = None
-    ) -> tuple[Float32[np.ndarray, "B rays"], Float32[np.ndarray, "B height width"]]:
-        """Scans and depth images of the marked worlds (all, without `which`); the others keep their last.
+    ) -> tuple[Float32[np.ndarray, "B rays"], Float32[np.ndarray, "B height width"], Float[np.ndarray, "B 3"]]:
+        """Scans, depth images and odometry of the marked worlds (all, without `which`); the others keep their last.
 
         The arrays are written again by the next call.
         """
-        num_worlds = len(state.goal)
+        num_worlds, threads = len(state.goal), self.config.threads
         which = np.ones(num_worlds, np.bool_) if which is None else which
         scan, depth = self._lines["scan"], self._lines["depth"]
-        for_worlds(
-            kernels.sense,
-            num_worlds,
-            self.config.threads,
-            state,
-            which,
-            scan.frame,
-            depth.frame,
-            self._lidar,
-            self._camera,
-        )
-        return scan.pass_on(state.step_count, which), depth.pass_on(state.step_count, which)
+        frames = (scan.frame, depth.frame)
+        for_worlds(kernels.sense, num_worlds, threads, state, which, *frames, self._lidar, self._camera)
+        odometry = state.robot_pose
+        if self.real:
+            odometry = self._odometry
+            memory = (odometry, self._last_pose)
+            for_worlds(noise.spoil, num_worlds, threads, state, which, self._seeds, *frames, *memory, *self._errors)
+        return scan.pass_on(state.step_count, which), depth.pass_on(state.step_count, which), odometry
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """What the sensors remember, as arrays; nothing for sensors without latency."""
+        """What the sensors remember, as arrays; nothing for clean sensors without latency."""
         lines = self._lines.items()
-        return {f"sensors.{name}.{key}": value for name, line in lines for key, value in line.state().items()}
+        arrays = {f"sensors.{name}.{key}": value for name, line in lines for key, value in line.state().items()}
+        if self.real:
+            memory = {"seeds": self._seeds, "odometry": self._odometry, "last_pose": self._last_pose}
+            arrays |= {f"sensors.{key}": value.copy() for key, value in memory.items()}
+        return arrays
 
     def load_state_dict(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Goes on from a `state_dict` of the same sensors in as many worlds."""
         for name, line in self._lines.items():
             if not line.immediate:
                 line.load(arrays[f"sensors.{name}.past"], arrays[f"sensors.{name}.given"])
+        if self.real:
+            self._seeds[:] = arrays["sensors.seeds"]
+            self._odometry[:], self._last_pose[:] = arrays["sensors.odometry"], arrays["sensors.last_pose"]

@@ -53,6 +53,7 @@ class Simulator:
         for b in np.flatnonzero(which):
             rng = np.random.default_rng(int(seeds[b]))
             self._fill(int(b), self.scenario.spawn(rng), rng)
+        self._sensors.reset(seeds, which)
         self._run(
             kernels.begin,
             self._recordings,
@@ -91,15 +92,15 @@ class Simulator:
     def sense(self, which: Bool[np.ndarray, "B"] | None = None) -> SensorFrame:
         """What the sensors give now. Worlds not marked in `which` keep their last scan and image.
 
-        Sensors with a latency or a rate of their own remember what they measured when this was called: call it once
-        each control step.
+        Sensors with a latency or a rate of their own, and drifting odometry, remember what they measured when this was
+        called: call it once each control step.
         """
-        scan_m, depth_m = self._sensors.sense(self._state, which)
+        scan_m, depth_m, odom_pose = self._sensors.sense(self._state, which)
         return SensorFrame(
             time_s=self.time_s,
             scan_m=scan_m,
             depth_m=depth_m,
-            odom_pose=self.robot_pose,
+            odom_pose=odom_pose,
             velocity=self.robot_velocity.astype(np.float32),
             goal_odom=self.goal,
             truth=Truth(self.robot_pose, self.people()),

@@ -36,6 +36,8 @@ class RunConfig:
     """Whether people make way for the robot."""
     dynamics: Literal["ideal", "dynamic"] = "ideal"
     """Whether commands take effect at once, or with the base's limits and delay."""
+    sensors: Literal["clean", "real"] = "clean"
+    """Whether sensors are exact, or have noise, gaps and drifting odometry."""
 
     def __post_init__(self) -> None:
         require(self.seed >= 0, "RunConfig.seed", self.seed, "0 or more")
@@ -52,7 +54,7 @@ def run(config: RunConfig) -> EpisodeMetrics:
         ValueError: for an unknown scenario or navigator, or a malformed recording.
         OSError: if a file cannot be read or written.
     """
-    sim_config = SimConfig(people=config.people, dynamics=config.dynamics)
+    sim_config = SimConfig(people=config.people, dynamics=config.dynamics, sensors=config.sensors)
     navigator = make_navigator(config.navigator, sim_config.robot)
     simulator = Simulator(make_scenario(config.scenario, config.data), 1, sim_config)
     config.out.mkdir(parents=True, exist_ok=True)
