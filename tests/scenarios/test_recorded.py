@@ -89,7 +89,7 @@ def test_people_who_react_make_way_and_come_back_where_plain_ones_collide(tmp_pa
     for reactive in (False, True):
         sim = Simulator(Standing(path, (0.0, 0.05), reactive), 1)
         sim.reset(np.zeros(1, np.int64))
-        aside, nearest = 0.0, math.inf
+        aside, nearest, pos = 0.0, math.inf, np.zeros(2)
         for _ in range(140):
             stand(sim)
             pos = sim.people().pos_w[0, 0]
