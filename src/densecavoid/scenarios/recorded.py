@@ -101,7 +101,7 @@ class TrackFile:
 
     @property
     def name(self) -> str:
-        return f"tracks:{self.path}" + (":reactive" if self.reactive else "")
+        return f"tracks:{self.path.name}" + (":reactive" if self.reactive else "")
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
         recording = load_recording(self.path, "tracks")
