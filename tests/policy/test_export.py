@@ -56,7 +56,7 @@ def test_the_file_says_what_it_is(exported: tuple[ActorCritic, Path]) -> None:
     network, path = exported
     policy = OnnxPolicy(path)
     assert policy.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    card = policy.metadata
+    card = policy.card
     assert card == describe(network, path.stem, observation={"horizon_s": 0.4}, training={"steps": 3})
     assert np.exp(card.log_std) == pytest.approx([0.4, 0.3])
     assert (card.max_linear_velocity, card.max_angular_velocity) == (1.0, 0.4)

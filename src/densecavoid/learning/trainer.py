@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -36,16 +36,6 @@ from densecavoid.policy.network import ActorCritic, NetworkConfig
 from densecavoid.sim.spec import Scenario
 
 _RECENT_EPISODES = 200
-
-
-class TrainingEnv(Protocol):
-    """What the trainer asks of a vector environment beyond Gymnasium's interface."""
-
-    scenario: Scenario
-
-    def state_dict(self) -> dict[str, Any]: ...
-
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...
 
 
 @dataclass(frozen=True)

@@ -78,11 +78,6 @@ class OnnxPolicy:
         )
         self._shapes = self._check_graph(str(name_or_path))
 
-    @property
-    def metadata(self) -> PolicyCard:
-        """What the file says about itself."""
-        return self.card
-
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "B 2"]:
         """Mean command (v m/s, w rad/s) for each row.
 

@@ -90,11 +90,10 @@ class Film:
 
     def record(self, simulator: Simulator, frame: SensorFrame, command: Command) -> None:
         """Takes a picture of what `frame` was sensed from; call it before the step is carried out."""
-        if self._stage is None:
-            self._begin(simulator)
-        observation = self._observation(frame)
-        self._last = observation
-        self._take(observation, frame, None)
+        if self._observer is None:
+            self._observer = self._begin(simulator)
+        self._last = self._observer.observe(frame)
+        self._take(self._last, frame, None)
 
     def finish(self, outcome: str) -> None:
         """Takes the last picture, of the simulator as it stands, and writes how the episode ended.
@@ -116,21 +115,14 @@ class Film:
             self._sink.abandon()
             self._sink = None
 
-    def _begin(self, simulator: Simulator) -> None:
+    def _begin(self, simulator: Simulator) -> Observer:
+        """Opens the film, and makes the film's own observer: what a navigator sees is its own affair."""
         config = self._config
         self._simulator = simulator
         self._stage = _Stage(simulator, self._navigator.name, config)
         self._sink = open_sink(self.path, (config.width_px, config.height_px), simulator.config.control_dt_s)
-        if not hasattr(self._navigator, "last_observation"):
-            sensors = simulator.config
-            observer_config = ObserverConfig(lidar=sensors.lidar, camera=sensors.camera)
-            self._observer = Observer(observer_config, simulator.num_worlds)
-            self._observer.reset(np.ones(simulator.num_worlds, bool))
-
-    def _observation(self, frame: SensorFrame) -> Observation:
-        if self._observer is not None:
-            return self._observer.observe(frame)
-        return self._navigator.last_observation  # type: ignore[attr-defined]  # asked for in _begin
+        sensors = simulator.config
+        return Observer(ObserverConfig(lidar=sensors.lidar, camera=sensors.camera), simulator.num_worlds)
 
     def _take(self, observation: Observation, frame: SensorFrame, outcome: str | None) -> None:
         assert self._stage is not None and self._simulator is not None and self._sink is not None

@@ -113,7 +113,6 @@ class Canvas:
     def __init__(self, view: View, background: Image.Image | None = None) -> None:
         """Begins with `background` (an `enlarged_image`), or with an empty floor."""
         self.view = view.enlarged(SUPERSAMPLING)
-        self._size_px = view.size_px
         self.enlarged_image = background.copy() if background else Image.new("RGB", self.view.size_px, theme.CARD)
         self._draw = ImageDraw.Draw(self.enlarged_image, "RGBA")
 
