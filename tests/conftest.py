@@ -16,7 +16,7 @@ from jaxtyping import install_import_hook
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-COMPILED = re.compile(r"^\s*@(?:\w+\.)*(?:kernel|njit|jit|vectorize|guvectorize)\b", re.MULTILINE)
+COMPILED = re.compile(r"^\s*@(?:\w+\.)*(?:kernel|inner|njit|jit|vectorize|guvectorize)\b", re.MULTILINE)
 
 
 def modules_to_check() -> list[str]:

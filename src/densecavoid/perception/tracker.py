@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 
 MAX_TRACKS = 32
 GATE_M = 0.6  # a detection farther than this from every predicted track is somebody new
@@ -51,7 +51,7 @@ def forget(tracks, b):
     tracks.next_id[b] = 0
 
 
-@kernel
+@inner
 def _predict(tracks, b, dt):
     """Kalman prediction with white acceleration noise (Bar-Shalom, Li, Kirubarajan 2001, section 6.2.3)."""
     q = _ACCELERATION_STD**2
@@ -69,7 +69,7 @@ def _predict(tracks, b, dt):
             tracks.hits[b, t] = 0
 
 
-@kernel
+@inner
 def _correct(tracks, b, t, x, y, radius, height):
     state, cov = tracks.state[b, t], tracks.covariance[b, t]
     innovation = cov[0] + _MEASUREMENT_STD_M**2
@@ -87,7 +87,7 @@ def _correct(tracks, b, t, x, y, radius, height):
     tracks.hits[b, t] += 1
 
 
-@kernel
+@inner
 def _begin_track(tracks, b, x, y, radius, height):
     for t in range(tracks.hits.shape[1]):
         if tracks.hits[b, t] == 0:

@@ -41,9 +41,21 @@ def kernels_are_compiled() -> bool:
 _FASTMATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 
+_OPTIONS = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+
 def kernel(function: Callable) -> Callable:
     """Compiles `function` for threads (it runs without the interpreter lock), with the result cached on disk."""
-    return numba.njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")(function)
+    return numba.njit(**_OPTIONS)(function)
+
+
+def inner(function: Callable) -> Callable:
+    """Compiles a function that only kernels call: Python must not.
+
+    For a function that takes a whole `WorldState`, the code through which Python would call it takes longer to compile
+    than the function itself.
+    """
+    return numba.njit(**_OPTIONS, no_cpython_wrapper=True)(function)
 
 
 @cache

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.crowds.recorded import follow_recording
 from densecavoid.sim.crowds.scripted import intend_scripted
 from densecavoid.sim.crowds.steering import move_people
@@ -29,7 +29,7 @@ from densecavoid.sim.robot import drive, limit_change
 _FAULT_SPEED = 0.1  # m/s towards the person in the last .5 s (BENCHMARK, Real crowds)
 
 
-@kernel
+@inner
 def place_bodies(state, b):
     """Puts the cylinders of everybody in world b where they are now."""
     for i in range(state.pos.shape[1]):
@@ -77,7 +77,7 @@ def nearest_surfaces(state, b, x, y, top):
     return nearest, nearest_person, slot
 
 
-@kernel
+@inner
 def _appear(state, b, time_s):
     """Lets the waiting people of world b stand across the robot's way, once it has come far enough."""
     x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
@@ -98,7 +98,7 @@ def _appear(state, b, time_s):
     state.spawn_time[b], state.spawn_line_x[b] = time_s, x + ahead
 
 
-@kernel
+@inner
 def _move_crowd(state, b, recordings, sub_step, replay_reactive, robot_radius, dt):
     intended = np.zeros((state.pos.shape[1], 2))
     if state.recording[b] >= 0:
@@ -110,7 +110,7 @@ def _move_crowd(state, b, recordings, sub_step, replay_reactive, robot_radius, d
     move_people(state, b, intended, robot_radius, dt)
 
 
-@kernel
+@inner
 def _at_fault(state, b, slot):
     """Whether the robot moved towards the person it hit in the last half second."""
     off_x = state.pos[b, slot, 0] - state.robot_pose[b, 0]

@@ -35,6 +35,13 @@ def sample_bodies(rng: np.random.Generator, count: int) -> tuple[Float[np.ndarra
 
 
 @kernel
+def half_depth(radius):
+    """Half of a body's depth, front to back, of one whose half shoulder width is `radius`: .28 m of .51 m (clothed
+    adults; shoulders are wider than deep)."""
+    return 0.55 * radius
+
+
+@kernel
 def step_length(speed):
     """Metres a step at a walking speed in m/s: .60 v^.6, within 3 % of the measured .40, .56, .73, .85 m at
     .5, .9, 1.3, 1.75 m/s (gait laboratory averages)."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner
 from densecavoid.sim.crowds.steering import walk
 from densecavoid.sim.people import ABSENT, RECORDED
 
@@ -35,7 +35,7 @@ def no_recordings() -> Recordings:
     )
 
 
-@kernel
+@inner
 def _slot_of(state, b, person):
     """The slot in which a person is, or a free one, or -1 if all are taken."""
     free = -1
@@ -47,7 +47,7 @@ def _slot_of(state, b, person):
     return free
 
 
-@kernel
+@inner
 def follow_recording(state, b, recordings, sub_step, reactive, intended, dt):
     """Brings in and takes out the people of the recording in world b, and moves them or says where they want to go.
 

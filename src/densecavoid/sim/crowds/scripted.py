@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.people import ABSENT, TRAVERSING, WANDERING
 
 _ARRIVED_M = 0.4
@@ -23,7 +23,7 @@ def uniform(random, b):
     return float(z >> np.uint64(11)) / 9007199254740992.0
 
 
-@kernel
+@inner
 def intend_scripted(state, b, intended, dt):
     """Writes where wanderers and traversers of world b want to go, as velocities [P, 2]."""
     for i in range(state.pos.shape[1]):

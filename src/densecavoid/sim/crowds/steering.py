@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.geometry import (
     BOX_HALF_LENGTH,
     BOX_HALF_WIDTH,
@@ -66,7 +66,7 @@ def anticipation_force(offset_x, offset_y, approach_x, approach_y, reach):
     return force_x, force_y
 
 
-@kernel
+@inner
 def _social_force(state, b, i, robot_radius):
     """Acceleration on person i from everybody else (and the robot, if they notice it)."""
     x, y = state.pos[b, i, 0], state.pos[b, i, 1]
@@ -94,7 +94,7 @@ def _social_force(state, b, i, robot_radius):
     return total_x, total_y
 
 
-@kernel
+@inner
 def _wall_force(state, b, i):
     """Acceleration on person i away from what stands near."""
     x, y, radius = state.pos[b, i, 0], state.pos[b, i, 1], state.radius[b, i]
@@ -121,7 +121,7 @@ def _far_from_box(x, y, box, margin):
     return abs(x - box[BOX_X]) > reach or abs(y - box[BOX_Y]) > reach
 
 
-@kernel
+@inner
 def _part_bodies(state, b):
     """Moves overlapping people apart, half each; who stands does not give way."""
     for i in range(state.pos.shape[1]):
@@ -152,7 +152,7 @@ def _part_bodies(state, b):
                 state.pos[b, j, 1] -= share * overlap * off_y / distance
 
 
-@kernel
+@inner
 def _keep_out_of_things(state, b, i, robot_radius):
     """Moves person i out of walls, furniture and pillars, and off a robot that they notice."""
     radius = state.radius[b, i]
@@ -181,7 +181,7 @@ def _keep_out_of_things(state, b, i, robot_radius):
             state.pos[b, i, 1] += (radius - distance) * normal_y
 
 
-@kernel
+@inner
 def move_people(state, b, intended, robot_radius, dt):
     """Advances everybody in world b by `dt` seconds towards the intended velocities [P, 2]."""
     num_people = state.pos.shape[1]
@@ -210,7 +210,7 @@ def move_people(state, b, intended, robot_radius, dt):
             walk(state, b, i, dt)
 
 
-@kernel
+@inner
 def walk(state, b, i, dt):
     """Turns person i the way they go and advances their stride."""
     vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
