@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from densecavoid.frames import CameraConfig, LidarConfig
-from densecavoid.sim.floorplan import WALL_HEIGHT_M, FloorPlan
+from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.mjcf import world_mjcf
 
 # Its functions come from a compiled module that type checkers do not see.
@@ -89,7 +89,8 @@ class PybulletRays:
         self._scale = scale
         self._client = pybullet.connect(pybullet.DIRECT)
         self._plane([0, 0, 1], 0.0)
-        self._plane([0, 0, -1], WALL_HEIGHT_M)
+        if math.isfinite(plan.ceiling_m):
+            self._plane([0, 0, -1], plan.ceiling_m)
         for x, y, yaw, half_length, half_width, z_min, z_max in plan.boxes:
             half = [scale * half_length, scale * half_width, scale * (z_max - z_min) / 2]
             shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self._client)

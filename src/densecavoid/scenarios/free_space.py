@@ -45,9 +45,9 @@ def _clearances(points, boxes, cylinders, limit, out):
 
 def clearances_m(plan: FloorPlan, points: Float[np.ndarray, "N 2"], limit_m: float = 10.0) -> Float[np.ndarray, "N"]:
     """Distance from each point to the nearest thing in the plan (negative inside); at most `limit_m`."""
-    boxes, cylinders = plan.packed()
+    packed = plan.packed()
     out = np.empty(len(points))
-    _clearances(np.asarray(points, np.float64), boxes, cylinders, limit_m, out)
+    _clearances(np.asarray(points, np.float64), packed.boxes, packed.cylinders, limit_m, out)
     return out
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numba
 
@@ -41,7 +42,7 @@ def kernels_are_compiled() -> bool:
 _FASTMATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 
-_OPTIONS = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 def kernel(function: Callable) -> Callable:

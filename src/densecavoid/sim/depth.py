@@ -32,7 +32,7 @@ from densecavoid.sim.rays import MISS, disc_interval, prism_distance, rectangle_
 
 
 class CameraOptics(NamedTuple):
-    """A `CameraConfig` and the room's ceiling as the kernels read them."""
+    """A `CameraConfig` as the kernels read it."""
 
     column_slope: np.ndarray  # f32 [width]
     row_slope: np.ndarray  # f32 [height]
@@ -41,10 +41,9 @@ class CameraOptics(NamedTuple):
     height: float
     ahead: float
     pitch: float
-    ceiling: float
 
 
-def camera_optics(config: CameraConfig, ceiling_m: float) -> CameraOptics:
+def camera_optics(config: CameraConfig) -> CameraOptics:
     """The camera's rays in its own frame, and where it is."""
     return CameraOptics(
         config.column_slopes.astype(np.float32),
@@ -54,7 +53,6 @@ def camera_optics(config: CameraConfig, ceiling_m: float) -> CameraOptics:
         float(config.mount_height_m),
         float(config.mount_x_m),
         float(config.mount_pitch_rad),
-        float(ceiling_m),
     )
 
 
@@ -77,14 +75,14 @@ def _fill_column(column, row_slope, entry, leave, z_min, z_max):
 
 
 @kernel
-def render_level_depth(image, columns, camera, x, y, yaw, boxes, cylinders):
+def render_level_depth(image, columns, camera, x, y, yaw, ceiling, boxes, cylinders):
     """Fills `image` [height, width] with depths for a level camera at (x, y) looking along `yaw`; NaN for none.
 
     `columns` [width, height] is scratch space: the same image with the rows innermost, where loops vectorise.
     """
     column_slope, row_slope = camera.column_slope, camera.row_slope
     min_range, max_range = camera.min_range, camera.max_range
-    height, ceiling = camera.height, camera.ceiling
+    height = camera.height
     width, rows = columns.shape
     half_fov = math.atan(column_slope[0]) + 1e-3
     focal = (width - 1) / (column_slope[0] - column_slope[width - 1])
@@ -166,7 +164,7 @@ def _slopes_of_disc(forward, left, radius):
 
 
 @kernel
-def render_depth(image, camera, x, y, yaw, boxes, cylinders):
+def render_depth(image, camera, x, y, yaw, ceiling, boxes, cylinders):
     """Fills `image` [height, width] with depths for a camera of any pitch at (x, y), turned to `yaw`; NaN for none."""
     column_slope, row_slope = camera.column_slope, camera.row_slope
     height = camera.height
@@ -182,7 +180,7 @@ def render_depth(image, camera, x, y, yaw, boxes, cylinders):
         if rise[r] < 0.0:
             flat = np.float32(-height / rise[r])
         elif rise[r] > 0.0:
-            flat = np.float32((camera.ceiling - height) / rise[r])
+            flat = np.float32((ceiling - height) / rise[r])
         image[r] = flat
     reach = camera.max_range * forward.max()
     cos, sin = math.cos(yaw), math.sin(yaw)

@@ -4,22 +4,44 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, UInt8
 
 from densecavoid.frames import require
+from densecavoid.sim.materials import GLASS, MATERIALS, material_number
 
 WALL_HEIGHT_M = 2.5
 WALL_THICKNESS_M = 0.1
+
+
+class PackedPlan(NamedTuple):
+    """A floor plan in the rows that kernels read (geometry.py)."""
+
+    boxes: Float32[np.ndarray, "n 8"]
+    """The yaw as cosine and sine. Glass comes last."""
+    cylinders: Float32[np.ndarray, "m 5"]
+    box_material: UInt8[np.ndarray, "n"]
+    """Numbers in `materials.MATERIALS`."""
+    cylinder_material: UInt8[np.ndarray, "m"]
+    num_glass: int
+    """How many of the boxes, the last ones, are of glass."""
 
 
 @dataclass
 class FloorPlan:
     """What stands in a world. Grows by its methods; lengths in metres, angles in radians, world frame."""
 
+    ceiling_m: float = WALL_HEIGHT_M
+    """Height of the ceiling; inf outdoors."""
     _boxes: list[tuple[float, ...]] = field(default_factory=list)
     _cylinders: list[tuple[float, ...]] = field(default_factory=list)
+    _box_material: list[int] = field(default_factory=list)
+    _cylinder_material: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        require(self.ceiling_m > 0, "FloorPlan.ceiling_m", self.ceiling_m, "positive, inf outdoors")
 
     @property
     def boxes(self) -> Float[np.ndarray, "n 7"]:
@@ -31,40 +53,87 @@ class FloorPlan:
         """Rows (x, y, radius, z_min, z_max)."""
         return np.array(self._cylinders, dtype=np.float64).reshape(-1, 5)
 
-    def packed(self) -> tuple[Float32[np.ndarray, "n 8"], Float32[np.ndarray, "m 5"]]:
-        """Boxes and cylinders in the rows that kernels read (geometry.py): the yaw as cosine and sine."""
-        boxes = self.boxes
-        packed = np.column_stack([boxes[:, :2], np.cos(boxes[:, 2]), np.sin(boxes[:, 2]), boxes[:, 3:]])
-        return packed.astype(np.float32), self.cylinders.astype(np.float32)
+    @property
+    def box_materials(self) -> list[str]:
+        """Name of each box's material."""
+        return [MATERIALS[number].name for number in self._box_material]
+
+    @property
+    def cylinder_materials(self) -> list[str]:
+        """Name of each cylinder's material."""
+        return [MATERIALS[number].name for number in self._cylinder_material]
+
+    def packed(self) -> PackedPlan:
+        """Everything, for the kernels."""
+        material = np.array(self._box_material, np.uint8)
+        order = np.argsort(material == GLASS, kind="stable")
+        boxes, material = self.boxes[order], material[order]
+        rows = np.column_stack([boxes[:, :2], np.cos(boxes[:, 2]), np.sin(boxes[:, 2]), boxes[:, 3:]])
+        return PackedPlan(
+            rows.astype(np.float32),
+            self.cylinders.astype(np.float32),
+            material,
+            np.array(self._cylinder_material, np.uint8),
+            int((material == GLASS).sum()),
+        )
 
     def box(
-        self, x: float, y: float, length: float, width: float, yaw: float = 0.0, z_min: float = 0.0, z_max: float = 1.0
+        self,
+        x: float,
+        y: float,
+        length: float,
+        width: float,
+        yaw: float = 0.0,
+        z_min: float = 0.0,
+        z_max: float = 1.0,
+        material: str = "wood",
     ) -> None:
         """An upright box, `length` along its own x axis.
 
         Raises:
-            ValueError: if a size is not positive or a value not finite.
+            ValueError: if a size is not positive, a value not finite, or there is no such material.
         """
         values = (x, y, yaw, length / 2, width / 2, z_min, z_max)
         require(
             all(map(math.isfinite, values)), "box (x, y, yaw, half length, half width, z_min, z_max)", values, "finite"
         )
         require(length > 0 and width > 0 and z_min < z_max, "box size", (length, width, z_min, z_max), "positive")
+        self._box_material.append(material_number(material))
         self._boxes.append(values)
 
-    def pillar(self, x: float, y: float, radius: float, z_min: float = 0.0, z_max: float = WALL_HEIGHT_M) -> None:
+    def pillar(
+        self,
+        x: float,
+        y: float,
+        radius: float,
+        z_min: float = 0.0,
+        z_max: float = WALL_HEIGHT_M,
+        material: str = "concrete",
+    ) -> None:
         """An upright cylinder.
 
         Raises:
-            ValueError: if the radius or height is not positive or a value not finite.
+            ValueError: if the radius or height is not positive, a value not finite, there is no such material, or it is
+                glass: only boxes can be.
         """
         values = (x, y, radius, z_min, z_max)
         require(all(map(math.isfinite, values)), "pillar (x, y, radius, z_min, z_max)", values, "finite")
         require(radius > 0 and z_min < z_max, "pillar size", (radius, z_min, z_max), "positive")
+        number = material_number(material)
+        require(not MATERIALS[number].see_through, "pillar material", material, "none that sensors look through")
+        self._cylinder_material.append(number)
         self._cylinders.append(values)
 
-    def wall(self, x0: float, y0: float, x1: float, y1: float, thickness: float = WALL_THICKNESS_M) -> None:
-        """A wall whose centre line runs from (x0, y0) to (x1, y1)."""
+    def wall(
+        self,
+        x0: float,
+        y0: float,
+        x1: float,
+        y1: float,
+        thickness: float = WALL_THICKNESS_M,
+        material: str = "plaster",
+    ) -> None:
+        """A wall whose centre line runs from (x0, y0) to (x1, y1); of glass with that material."""
         self.box(
             (x0 + x1) / 2,
             (y0 + y1) / 2,
@@ -73,6 +142,7 @@ class FloorPlan:
             math.atan2(y1 - y0, x1 - x0),
             0.0,
             WALL_HEIGHT_M,
+            material,
         )
 
     def room(self, x_min: float, y_min: float, x_max: float, y_max: float) -> None:
@@ -85,21 +155,29 @@ class FloorPlan:
     def table(self, x: float, y: float, length: float, width: float, yaw: float = 0.0, height: float = 0.74) -> None:
         """Four thin legs and a top: a lidar at shin height sees the legs alone, a camera the top."""
         self.box(x, y, length, width, yaw, height - 0.04, height)
-        self._legs(x, y, length - 0.08, width - 0.08, yaw, 0.05, height - 0.04)
+        self._legs(x, y, length - 0.08, width - 0.08, yaw, 0.05, height - 0.04, "metal")
 
     def chair(self, x: float, y: float, yaw: float = 0.0) -> None:
         """Four legs, a seat and a back; it faces `yaw`."""
         size = 0.44
-        self.box(x, y, size, size, yaw, 0.42, 0.46)
+        self.box(x, y, size, size, yaw, 0.42, 0.46, "fabric")
         back = size / 2 - 0.02
-        self.box(x - back * math.cos(yaw), y - back * math.sin(yaw), 0.04, size, yaw, 0.46, 0.90)
-        self._legs(x, y, size - 0.04, size - 0.04, yaw, 0.04, 0.42)
+        self.box(x - back * math.cos(yaw), y - back * math.sin(yaw), 0.04, size, yaw, 0.46, 0.90, "fabric")
+        self._legs(x, y, size - 0.04, size - 0.04, yaw, 0.04, 0.42, "wood")
 
     def _legs(
-        self, x: float, y: float, length: float, width: float, yaw: float, thickness: float, height: float
+        self,
+        x: float,
+        y: float,
+        length: float,
+        width: float,
+        yaw: float,
+        thickness: float,
+        height: float,
+        material: str,
     ) -> None:
         cos, sin = math.cos(yaw), math.sin(yaw)
         for along in (-length / 2, length / 2):
             for across in (-width / 2, width / 2):
                 leg_x, leg_y = x + cos * along - sin * across, y + sin * along + cos * across
-                self.box(leg_x, leg_y, thickness, thickness, yaw, 0.0, height)
+                self.box(leg_x, leg_y, thickness, thickness, yaw, 0.0, height, material)

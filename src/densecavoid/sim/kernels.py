@@ -209,6 +209,8 @@ def sense(first, last, state, which, scans, images, lidar, camera):
         scan(scans[b], lidar, lidar_x, lidar_y, yaw, boxes, cylinders)
         camera_x, camera_y = x + cos * camera.ahead, y + sin * camera.ahead
         if camera.pitch == 0.0:
-            render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, boxes, cylinders)
+            render_level_depth(
+                images[b], columns, camera, camera_x, camera_y, yaw, state.ceiling_m[b], boxes, cylinders
+            )
         else:
-            render_depth(images[b], camera, camera_x, camera_y, yaw, boxes, cylinders)
+            render_depth(images[b], camera, camera_x, camera_y, yaw, state.ceiling_m[b], boxes, cylinders)

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
-from densecavoid.sim.floorplan import WALL_HEIGHT_M, FloorPlan
+from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import PARTS
 
 _PART_NAMES = ("left-leg", "right-leg", "trunk", "head")
@@ -20,10 +20,8 @@ _COLOURS = {
 }
 
 
-def world_mjcf(
-    plan: FloorPlan, bodies: Float[np.ndarray, "people parts 5"] | None = None, ceiling_m: float = WALL_HEIGHT_M
-) -> str:
-    """MJCF text of a floor plan and the people in it, with the ground at z = 0 and a ceiling.
+def world_mjcf(plan: FloorPlan, bodies: Float[np.ndarray, "people parts 5"] | None = None) -> str:
+    """MJCF text of a floor plan and the people in it, with the ground at z = 0 and the ceiling, if it has one.
 
     All solids are static geoms of the world body, in the order: ground, ceiling, boxes, pillars, people. Numbers are
     written with all their digits, so that MuJoCo reads the very same values.
@@ -31,7 +29,6 @@ def world_mjcf(
     Args:
         plan: `Simulator.floor_plan(b)`.
         bodies: `Simulator.body_cylinders(b)`; cylinders without radius (nobody there) are left out.
-        ceiling_m: height of the ceiling.
     """
     root = ElementTree.Element("mujoco", model="densecavoid")
     ElementTree.SubElement(root, "compiler", angle="radian")
@@ -49,7 +46,8 @@ def world_mjcf(
 
     # A plane is seen from its own upper side alone, so the ceiling is turned over; half sizes of 0 are endless.
     geom("ground", "plane", "plane", (0, 0, 1), (0, 0, 0), (0, 0, 0))
-    geom("ceiling", "plane", "plane", (0, 0, 1), (0, 0, ceiling_m), (math.pi, 0, 0))
+    if math.isfinite(plan.ceiling_m):
+        geom("ceiling", "plane", "plane", (0, 0, 1), (0, 0, plan.ceiling_m), (math.pi, 0, 0))
     for i, (x, y, yaw, half_length, half_width, z_min, z_max) in enumerate(plan.boxes):
         size = (half_length, half_width, (z_max - z_min) / 2)
         geom(f"box-{i}", "box", "box", size, (x, y, (z_min + z_max) / 2), (0, 0, yaw))

@@ -12,7 +12,6 @@ from densecavoid.sim import kernels, noise
 from densecavoid.sim._jit import for_worlds
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.depth import camera_optics
-from densecavoid.sim.floorplan import WALL_HEIGHT_M
 from densecavoid.sim.lidar import lidar_optics
 from densecavoid.sim.state import WorldState
 
@@ -71,7 +70,7 @@ class SensorSuite:
     def __init__(self, config: SimConfig, num_worlds: int) -> None:
         self.config = config
         lidar, camera = config.lidar, config.camera
-        self._lidar, self._camera = lidar_optics(lidar), camera_optics(camera, WALL_HEIGHT_M)
+        self._lidar, self._camera = lidar_optics(lidar), camera_optics(camera)
         scan = np.full((num_worlds, lidar.num_rays), np.inf, np.float32)
         image = np.full((num_worlds, camera.height, camera.width), np.nan, np.float32)
         self.real = config.sensors == "real"

@@ -28,9 +28,18 @@ class Crowd:
     """x_min, y_min, x_max, y_max in which wanderers choose their places."""
     changes_of_mind_per_s: float = 0.0
     """How often a wanderer chooses a new place before reaching the last one."""
+    heading_rad: Float[np.ndarray, "P"] | None = None
+    """Where each looks at first; None: towards the goal."""
+    group: Int[np.ndarray, "P"] | None = None
+    """People of one number, 0 or more, belong together; -1 is alone. None: everybody is."""
 
     def __post_init__(self) -> None:
         count = len(self.pos)
+        for name in ("heading_rad", "group"):
+            value = getattr(self, name)
+            if value is not None:
+                require(len(value) == count, f"Crowd.{name}", f"{len(value)} long", f"{count}, one for each position")
+                require(bool(np.isfinite(value).all()), f"Crowd.{name}", value, "finite")
         for name in ("goal", "preferred_speed", "radius_m", "height_m", "behaviour"):
             value = getattr(self, name)
             require(len(value) == count, f"Crowd.{name}", f"{len(value)} long", f"{count}, one for each position")

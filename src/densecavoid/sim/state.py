@@ -36,6 +36,10 @@ class WorldState(NamedTuple):
     num_boxes: np.ndarray  # i64 [B]
     cylinders: np.ndarray  # f32 [B, PARTS * P + NC, 5] people's parts first
     num_cylinders: np.ndarray  # i64 [B] people's parts included
+    box_material: np.ndarray  # u8 [B, NB]
+    num_glass: np.ndarray  # i64 [B] so many of the boxes, the last ones
+    cylinder_material: np.ndarray  # u8 [B, NC] without people
+    ceiling_m: np.ndarray  # f64 [B] inf outdoors
     # people
     pos: np.ndarray  # f64 [B, P, 2]
     vel: np.ndarray  # f64 [B, P, 2]
@@ -47,6 +51,7 @@ class WorldState(NamedTuple):
     phase: np.ndarray  # f64 [B, P] of the stride
     behaviour: np.ndarray  # i8 [B, P]
     person_id: np.ndarray  # i32 [B, P]
+    group: np.ndarray  # i16 [B, P] who walks or stands together; -1: alone
     notices_robot: np.ndarray  # bool [B, P]
     wander_area: np.ndarray  # f64 [B, 4]
     change_rate: np.ndarray  # f64 [B] changes of mind a second
@@ -95,6 +100,10 @@ def allocate(
         num_boxes=whole(np.int64),
         cylinders=whole(np.float32, PARTS * p + num_static_cylinders, 5),
         num_cylinders=whole(np.int64),
+        box_material=whole(np.uint8, num_boxes),
+        num_glass=whole(np.int64),
+        cylinder_material=whole(np.uint8, num_static_cylinders),
+        ceiling_m=real() + np.inf,
         pos=real(p, 2),
         vel=real(p, 2),
         person_goal=real(p, 2),
@@ -105,6 +114,7 @@ def allocate(
         phase=real(p),
         behaviour=whole(np.int8, p),
         person_id=whole(np.int32, p) - 1,
+        group=whole(np.int16, p) - 1,
         notices_robot=whole(np.bool_, p),
         wander_area=real(4),
         change_rate=real(),

@@ -12,6 +12,7 @@ from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds.recorded import Recordings, no_recordings
 from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.materials import MATERIALS
 from densecavoid.sim.people import ABSENT, PARTS, STANDING
 from densecavoid.sim.sensors import SensorSuite
 from densecavoid.sim.spec import Scenario, WorldSpec
@@ -205,11 +206,17 @@ class Simulator:
 
     def floor_plan(self, b: int) -> FloorPlan:
         """What stands in world b, people left out."""
-        plan, state = FloorPlan(), self._state
-        for x, y, cos, sin, half_length, half_width, z_min, z_max in state.boxes[b, : state.num_boxes[b]].tolist():
-            plan.box(x, y, 2 * half_length, 2 * half_width, float(np.arctan2(sin, cos)), z_min, z_max)
-        for row in state.cylinders[b, PARTS * state.pos.shape[1] : state.num_cylinders[b]].tolist():
-            plan.pillar(*row)
+        state = self._state
+        plan = FloorPlan(float(state.ceiling_m[b]))
+        boxes = state.boxes[b, : state.num_boxes[b]].tolist()
+        for (x, y, cos, sin, half_length, half_width, z_min, z_max), number in zip(
+            boxes, state.box_material[b], strict=False
+        ):
+            yaw, material = float(np.arctan2(sin, cos)), MATERIALS[number].name
+            plan.box(x, y, 2 * half_length, 2 * half_width, yaw, z_min, z_max, material)
+        pillars = state.cylinders[b, PARTS * state.pos.shape[1] : state.num_cylinders[b]].tolist()
+        for row, number in zip(pillars, state.cylinder_material[b], strict=False):
+            plan.pillar(*row, material=MATERIALS[number].name)
         return plan
 
     def body_cylinders(self, b: int) -> Float[np.ndarray, "P parts 5"]:
@@ -256,8 +263,8 @@ class Simulator:
         for_worlds(function, self.num_worlds, self.config.threads, self._state, *args)
 
     def _fill(self, b: int, spec: WorldSpec, rng: np.random.Generator) -> None:
-        boxes, cylinders = spec.floor_plan.packed()
-        crowd = spec.crowd
+        plan, crowd = spec.floor_plan.packed(), spec.crowd
+        boxes, cylinders = plan.boxes, plan.cylinders
         self._state = with_room(self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints))
         state = self._state
         slots = capacity(state)[0]
@@ -280,6 +287,10 @@ class Simulator:
         state.boxes[b, : len(boxes)] = boxes
         state.num_cylinders[b] = PARTS * slots + len(cylinders)
         state.cylinders[b, PARTS * slots : state.num_cylinders[b]] = cylinders
+        state.box_material[b, : len(boxes)] = plan.box_material
+        state.num_glass[b] = plan.num_glass
+        state.cylinder_material[b, : len(cylinders)] = plan.cylinder_material
+        state.ceiling_m[b] = spec.floor_plan.ceiling_m
 
         waits = spec.appearance is not None
         state.behaviour[b] = ABSENT
@@ -287,7 +298,9 @@ class Simulator:
         there = slice(0, crowd.size)
         state.pos[b, there], state.person_goal[b, there] = crowd.pos, crowd.goal
         state.vel[b] = 0.0
-        heading = np.arctan2(crowd.goal[:, 1] - crowd.pos[:, 1], crowd.goal[:, 0] - crowd.pos[:, 0])
+        heading = crowd.heading_rad
+        if heading is None:
+            heading = np.arctan2(crowd.goal[:, 1] - crowd.pos[:, 1], crowd.goal[:, 0] - crowd.pos[:, 0])
         speed = np.where(crowd.behaviour == STANDING, 0.0, crowd.preferred_speed)
         state.heading[b, there] = heading
         state.vel[b, there] = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -295,6 +308,9 @@ class Simulator:
         state.radius[b, there], state.height[b, there] = crowd.radius_m, crowd.height_m
         state.phase[b, there] = rng.uniform(0.0, 2 * np.pi, crowd.size)
         state.person_id[b, there] = np.arange(crowd.size)
+        state.group[b] = -1
+        if crowd.group is not None:
+            state.group[b, there] = crowd.group
         if not waits:
             state.behaviour[b, there] = crowd.behaviour
         state.notices_robot[b] = self.config.people == "reactive"
