@@ -99,15 +99,16 @@ def _appear(state, b, time_s):
 
 
 @inner
-def _move_crowd(state, b, recordings, sub_step, replay_reactive, robot_radius, dt):
-    intended = np.zeros((state.pos.shape[1], 2))
+def _move_crowd(state, b, scratch, recordings, sub_step, replay_reactive, robot_radius, dt):
+    intended, new_vel = scratch[0], scratch[1]
+    intended[:] = 0.0
     if state.recording[b] >= 0:
         follow_recording(state, b, recordings, sub_step, replay_reactive[b], intended, dt)
         if not replay_reactive[b]:
             return
     else:
         intend_scripted(state, b, intended, dt)
-    move_people(state, b, intended, robot_radius, dt)
+    move_people(state, b, intended, new_vel, robot_radius, dt)
 
 
 @inner
@@ -140,6 +141,7 @@ def advance(
     dt,
 ):
     """One control step of `sub_steps` x `dt` s for worlds first to last - 1; ends early at a collision or the goal."""
+    scratch = np.empty((2, state.pos.shape[1], 2))
     for b in range(first, last):
         if dynamic:
             linear, angular = state.pending_command[b]
@@ -152,7 +154,7 @@ def advance(
         nearest_person, slot = np.inf, -1
         for s in range(sub_steps):
             tick = state.step_count[b] * sub_steps + s + 1
-            _move_crowd(state, b, recordings, tick, replay_reactive, robot_radius, dt)
+            _move_crowd(state, b, scratch, recordings, tick, replay_reactive, robot_radius, dt)
             if dynamic:
                 velocity[0] = limit_change(velocity[0], linear, max_linear_acc * dt)
                 velocity[1] = limit_change(velocity[1], angular, max_angular_acc * dt)
@@ -207,12 +209,12 @@ def _scan_world(state, b, ranges, hits, ray_x, ray_y, lidar):
 
 
 @kernel
-def sense_level(first, last, state, which, scans, images, lidar, camera):
-    """What exact sensors with a level camera measure in the marked worlds, however far: the fast way.
+def sense_level(first, last, state, which, scans, images, lidar, camera, scan_most, least, most):
+    """What exact sensors with a level camera measure in the marked worlds: the fast way.
 
     Args:
-        scans: [B, rays] gets ranges.
-        images: [B, height, width] gets depths.
+        scans: [B, rays] gets ranges up to `scan_most`, inf beyond.
+        images: [B, height, width] gets depths from `least` to `most`, NaN elsewhere.
     """
     columns = np.empty((camera.column_slope.shape[0], camera.row_slope.shape[0]), np.float32)
     hits = np.empty(scans.shape[1], np.int32)
@@ -220,17 +222,19 @@ def sense_level(first, last, state, which, scans, images, lidar, camera):
         if not which[b]:
             continue
         _scan_world(state, b, scans[b], hits, lidar.ray_x, lidar.ray_y, lidar)
+        for r in range(scans.shape[1]):
+            scans[b, r] = scans[b, r] if scans[b, r] <= scan_most else np.float32(np.inf)
         x, y, yaw = state.robot_pose[b]
         camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
         boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
         cylinders = state.cylinders[b, : state.num_cylinders[b]]
         ceiling = state.ceiling_m[b]
-        render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders)
+        render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders, least, most)
 
 
 @kernel
 def sense_hits(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera):
-    """The same for any camera and for scanners that sweep, with what each ray meets.
+    """The same for any camera and for scanners that sweep, however far, with what each ray meets.
 
     Args:
         scan_hits: i32 [B, rays] gets numbers of solids (geometry.py).
@@ -240,7 +244,7 @@ def sense_hits(first, last, state, which, scans, images, scan_hits, image_hits, 
     for b in range(first, last):
         if not which[b]:
             continue
-        if lidar.time[0] < 0.0:
+        if lidar.start < 0.0:
             turn_rays(lidar, state.robot_velocity[b, 1], ray_x, ray_y)
         _scan_world(state, b, scans[b], scan_hits[b], ray_x, ray_y, lidar)
         picture(state, b, images[b], image_hits[b], camera)
@@ -258,14 +262,14 @@ def picture(state, b, image, hits, camera):
 
 
 @kernel
-def limit_ranges(first, last, which, scans, images, lidar_range, camera_min, camera_max):
+def limit_ranges(first, last, which, scans, images, scan_most, least, most):
     """Leaves out what is out of range: inf in scans, NaN in images."""
     for b in range(first, last):
         if not which[b]:
             continue
         for r in range(scans.shape[1]):
-            scans[b, r] = scans[b, r] if scans[b, r] <= lidar_range else np.float32(np.inf)
+            scans[b, r] = scans[b, r] if scans[b, r] <= scan_most else np.float32(np.inf)
         for v in range(images.shape[1]):
             for u in range(images.shape[2]):
                 t = images[b, v, u]
-                images[b, v, u] = t if (t >= camera_min) & (t <= camera_max) else np.float32(np.nan)
+                images[b, v, u] = t if (t >= least) & (t <= most) else np.float32(np.nan)
