@@ -236,8 +236,8 @@ def test_people_appear_at_the_asked_distance_once_the_robot_has_come_three_metre
         for b in np.flatnonzero(just):
             came = np.hypot(*(sim.robot_pose[b, :2] - sim.start_pose[b, :2]))
             assert 2.99 <= came <= 3.11
-            gap = np.hypot(*(people.pos_w[b] - sim.robot_pose[b, :2]).T) - people.radius_m[b]
-            gap = gap[people.active[b]]
+            parts = sim.body_cylinders(b)[people.active[b]]
+            gap = np.hypot(*(parts[..., :2] - sim.robot_pose[b, :2]).transpose(2, 0, 1)) - parts[..., 2]
             assert band[0] - 0.11 <= gap.min() <= band[1] + 0.01  # the robot may have moved on by one step
             free_left = 2.0 - (people.pos_w[b, :, 1] + people.radius_m[b])[people.active[b]].max()
             free_right = 2.0 + (people.pos_w[b, :, 1] - people.radius_m[b])[people.active[b]].min()
