@@ -11,6 +11,7 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.people import half_depth
 from densecavoid.viz import theme
 
 SUPERSAMPLING = 3
@@ -21,6 +22,7 @@ WHOLE_ROOM_M = 12.5
 AROUND_M = 2.5
 WALL_HEIGHT_M = 1.8
 """What is higher is drawn as a wall, what is lower as furniture."""
+_HEAD_M = 0.09
 
 
 @dataclass(frozen=True)
@@ -171,13 +173,21 @@ class Canvas:
             width=round(edge_px * SUPERSAMPLING),
         )
 
-    def person(self, centre_w: Float[np.ndarray, "2"], velocity_w: Float[np.ndarray, "2"], radius_m: float) -> None:
-        """A disc with a tick towards where they walk."""
-        self.disc(centre_w, radius_m, theme.PERSON, theme.PERSON_EDGE)
-        speed = float(np.hypot(*velocity_w))
-        if speed > 0.05:
-            ahead = np.asarray(velocity_w) / speed * radius_m
-            self.line(np.stack([centre_w + 0.15 * ahead, centre_w + 0.95 * ahead]), theme.PERSON_EDGE, 1.6)
+    def person(self, centre_w: Float[np.ndarray, "2"], heading_rad: float | None, radius_m: float) -> None:
+        """Shoulders across the way they look, and the head leaning towards it; a disc where that is not known."""
+        if heading_rad is None:
+            self.disc(centre_w, radius_m, theme.PERSON, theme.PERSON_EDGE)
+            self.disc(centre_w, _HEAD_M, theme.PERSON_EDGE)
+            return
+        depth = half_depth(radius_m)
+        ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
+        # Two half circles, from the back of the right shoulder to its front, then around the left one.
+        turn = np.linspace(-math.pi, 0.0, 16)
+        right, left = (np.stack([sign * np.cos(turn), sign * np.sin(turn)], axis=-1) * depth for sign in (1, -1))
+        outline = np.concatenate([right + (0.0, depth - radius_m), left + (0.0, radius_m - depth)])
+        outline = centre_w + outline @ np.array([[ahead[0], ahead[1]], [-ahead[1], ahead[0]]])
+        self._draw.polygon(self._flat(outline), fill=theme.PERSON, outline=theme.PERSON_EDGE, width=SUPERSAMPLING)
+        self.disc(centre_w + 0.45 * depth * ahead, _HEAD_M, theme.PERSON_EDGE)
 
     def robot(self, pose_w: Float[np.ndarray, "3"], radius_m: float) -> None:
         """A disc with an arrowhead towards where it looks."""
