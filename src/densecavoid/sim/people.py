@@ -1,7 +1,7 @@
 """People's bodies: how big they are, how they step, and the cylinders that rays and collisions meet.
 
-In plan view a body is a stadium, shoulders wider than deep: everything within `half_depth` of a line across the heading.
-A person is two legs, two halves of a trunk, two arms and a head, all upright cylinders. Trunk and arms fill the outline
+In plan view a body is a stadium, shoulders wider than deep: all within `half_depth` of a line across the heading. A
+person is two legs, two halves of a trunk, two arms and a head, all upright cylinders. Trunk and arms fill the outline
 and never leave it; the legs step beyond it, ahead and behind, as legs do.
 """
 
@@ -29,12 +29,12 @@ _SHOULDER_HEIGHT = 0.82
 _HAND_HEIGHT = 0.42
 _LOWEST_M = 0.75  # trunk and hands reach down to this at least: nobody is hollow to a robot of the default .8 m
 
-# Sideways from the body's axis, and radii, as shares of the half shoulder width. With legs so thick (.14 m, trousers
-# included) and so far apart (.15 m walking, .23 m standing), a lidar sees what it sees of real people: benchmarks/legs.py.
+# Sideways from the body's axis, and radii, as shares of the half shoulder width. Legs so thick (.14 m, in trousers)
+# and so far apart (.15 m walking, .23 m standing) look to a lidar as real ones do: benchmarks/legs.py.
 _LEG_RADIUS = 0.27
 _LEG_ASIDE_WALKING = 0.30
 _LEG_ASIDE_STANDING = 0.45
-_WALKING_SPEED = 0.5  # m/s
+_WALKING_SPEED = 0.5  # m/s; slower people set their feet farther apart
 _TRUNK_ASIDE = 0.15
 _ARM_RADIUS = 0.19
 _HEAD_RADIUS_M = 0.08

@@ -236,7 +236,7 @@ class Simulator:
         return plan
 
     def body_cylinders(self, b: int) -> Float[np.ndarray, "P parts 5"]:
-        """Everybody's parts (`people.LEFT_LEG`, ...) in world b: x, y, radius, z_min, z_max; radius 0 for nobody there."""
+        """Everybody's parts (`people.LEFT_LEG`, ...) in world b: x, y, radius, z_min, z_max; without radius: nobody."""
         slots = self._state.pos.shape[1]
         return self._state.cylinders[b, : PARTS * slots].astype(np.float64).reshape(slots, PARTS, 5)
 

@@ -183,8 +183,8 @@ class Canvas:
         ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
         # Two half circles, from the back of the right shoulder to its front, then around the left one.
         turn = np.linspace(-math.pi, 0.0, 16)
-        right, left = (np.stack([sign * np.cos(turn), sign * np.sin(turn)], axis=-1) * depth for sign in (1, -1))
-        outline = np.concatenate([right + (0.0, depth - radius_m), left + (0.0, radius_m - depth)])
+        arc, shoulder = depth * np.stack([np.cos(turn), np.sin(turn)], axis=-1), np.array([0.0, radius_m - depth])
+        outline = np.concatenate([arc - shoulder, shoulder - arc])
         outline = centre_w + outline @ np.array([[ahead[0], ahead[1]], [-ahead[1], ahead[0]]])
         self._draw.polygon(self._flat(outline), fill=theme.PERSON, outline=theme.PERSON_EDGE, width=SUPERSAMPLING)
         self.disc(centre_w + 0.45 * depth * ahead, _HEAD_M, theme.PERSON_EDGE)
