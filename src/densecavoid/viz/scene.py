@@ -16,13 +16,13 @@ from densecavoid.viz import theme
 
 SUPERSAMPLING = 3
 """Drawn so many times larger and then averaged, which smooths every edge."""
+_HEAD_RADIUS_M = 0.09
 
 WHOLE_ROOM_M = 12.5
 """A plan no longer than this is shown whole; of a longer one, what lies around the start and the goal."""
 AROUND_M = 2.5
 WALL_HEIGHT_M = 1.8
 """What is higher is drawn as a wall, what is lower as furniture."""
-_HEAD_M = 0.09
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class Canvas:
         """Shoulders across the way they look, and the head leaning towards it; a disc where that is not known."""
         if heading_rad is None:
             self.disc(centre_w, radius_m, theme.PERSON, theme.PERSON_EDGE)
-            self.disc(centre_w, _HEAD_M, theme.PERSON_EDGE)
+            self.disc(centre_w, _HEAD_RADIUS_M, theme.PERSON_EDGE)
             return
         depth = half_depth(radius_m)
         ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
@@ -187,7 +187,7 @@ class Canvas:
         outline = np.concatenate([arc - shoulder, shoulder - arc])
         outline = centre_w + outline @ np.array([[ahead[0], ahead[1]], [-ahead[1], ahead[0]]])
         self._draw.polygon(self._flat(outline), fill=theme.PERSON, outline=theme.PERSON_EDGE, width=SUPERSAMPLING)
-        self.disc(centre_w + 0.45 * depth * ahead, _HEAD_M, theme.PERSON_EDGE)
+        self.disc(centre_w + 0.45 * depth * ahead, _HEAD_RADIUS_M, theme.PERSON_EDGE)
 
     def robot(self, pose_w: Float[np.ndarray, "3"], radius_m: float) -> None:
         """A disc with an arrowhead towards where it looks."""
