@@ -18,6 +18,8 @@ from densecavoid.sim.geometry import (
     BOX_Y,
     BOX_Z_MIN,
     CYL_RADIUS,
+    CYL_X,
+    CYL_Y,
     CYL_Z_MIN,
     disc_offset,
     rectangle_offset,
@@ -30,24 +32,29 @@ _FAULT_SPEED = 0.1  # m/s towards the person in the last .5 s (BENCHMARK, Real c
 
 
 @inner
+def _place(state, b, i):
+    """Puts the cylinders of person i in world b where they are now."""
+    vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
+    place_body(
+        state.cylinders[b, PARTS * i : PARTS * (i + 1)],
+        state.pos[b, i, 0],
+        state.pos[b, i, 1],
+        state.heading[b, i],
+        math.sqrt(vx * vx + vy * vy),
+        state.phase[b, i],
+        state.radius[b, i],
+        state.height[b, i],
+    )
+
+
+@inner
 def place_bodies(state, b):
     """Puts the cylinders of everybody in world b where they are now."""
     for i in range(state.pos.shape[1]):
-        parts = state.cylinders[b, PARTS * i : PARTS * (i + 1)]
         if state.behaviour[b, i] == ABSENT:
-            remove_body(parts)
-            continue
-        vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
-        place_body(
-            parts,
-            state.pos[b, i, 0],
-            state.pos[b, i, 1],
-            state.heading[b, i],
-            math.sqrt(vx * vx + vy * vy),
-            state.phase[b, i],
-            state.radius[b, i],
-            state.height[b, i],
-        )
+            remove_body(state.cylinders[b, PARTS * i : PARTS * (i + 1)])
+        else:
+            _place(state, b, i)
 
 
 @kernel
@@ -83,18 +90,20 @@ def _appear(state, b, time_s):
     x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
     if math.hypot(x - state.start_pose[b, 0], y - state.start_pose[b, 1]) < state.trigger_distance[b]:
         return
-    ahead = 0.0
+    ahead = 0.0  # how far the line must be for nobody's surface to be nearer than asked for
     for i in range(state.pos.shape[1]):
-        if state.person_id[b, i] >= 0:
-            reach = state.appear_distance[b] + state.radius[b, i]
-            aside = state.pos[b, i, 1] - y
+        if state.person_id[b, i] < 0:
+            continue
+        state.behaviour[b, i], state.heading[b, i] = STANDING, math.pi
+        state.pos[b, i, 0] = 0.0
+        _place(state, b, i)
+        for part in state.cylinders[b, PARTS * i : PARTS * (i + 1)]:
+            reach, aside = state.appear_distance[b] + part[CYL_RADIUS], part[CYL_Y] - y
             if abs(aside) < reach:
-                ahead = max(ahead, math.sqrt(reach * reach - aside * aside))
+                ahead = max(ahead, math.sqrt(reach * reach - aside * aside) - part[CYL_X])
     for i in range(state.pos.shape[1]):
         if state.person_id[b, i] >= 0:
             state.pos[b, i, 0] = x + ahead
-            state.behaviour[b, i] = STANDING
-            state.heading[b, i] = math.pi
     state.spawn_time[b], state.spawn_line_x[b] = time_s, x + ahead
 
 
