@@ -49,7 +49,7 @@ _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
 }
-_INNER_OPTIONS = _OPTIONS | {"no_cpython_wrapper": True, "forceinline": True, "_nrt": False}
+_INNER_OPTIONS: dict[str, Any] = _OPTIONS | {"no_cpython_wrapper": True, "forceinline": True, "_nrt": False}
 
 
 def kernel(function: Callable) -> Callable:

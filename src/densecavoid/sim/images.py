@@ -14,7 +14,7 @@ from densecavoid.sim.depth import camera_optics
 from densecavoid.sim.geometry import GROUND, NOTHING
 from densecavoid.sim.kernels import picture
 from densecavoid.sim.materials import GLASS, material_colours, material_number
-from densecavoid.sim.people import PARTS
+from densecavoid.sim.people import PARTS, RIGHT_LEG
 from densecavoid.sim.returns import glass_distance
 from densecavoid.sim.state import WorldState
 from densecavoid.sim.surfaces import CLOTHES, SKIN, material_at, normal_at, solids_of
@@ -70,7 +70,7 @@ def _paint(pixel, solids, hit, x, y, colours, ground, ceiling, brightness):
     if material == SKIN:
         _write(pixel, _SKINS, solids.person_id[hit // PARTS] % len(_SKINS), brightness)
     elif material == CLOTHES:  # trousers and shirt: two colours that seldom repeat together
-        piece = 5 * solids.person_id[hit // PARTS] + (3 if hit % PARTS < 2 else 0)
+        piece = 5 * solids.person_id[hit // PARTS] + (3 if hit % PARTS <= RIGHT_LEG else 0)
         _write(pixel, _CLOTHES, piece % len(_CLOTHES), brightness)
     else:
         dark_tile = hit == GROUND and (math.floor(x / _TILE_M) + math.floor(y / _TILE_M)) % 2 == 0

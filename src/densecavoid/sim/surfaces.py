@@ -24,7 +24,7 @@ from densecavoid.sim.geometry import (
     CYL_Z_MAX,
     CYL_Z_MIN,
 )
-from densecavoid.sim.people import PARTS
+from densecavoid.sim.people import HEAD, PARTS
 
 CLOTHES, SKIN = -1, -2
 """Instead of the number of a material, on people."""
@@ -108,7 +108,7 @@ def material_at(solids, hit, ground, ceiling):
     if hit < 0:
         return ceiling if hit == CEILING else ground
     if hit < people_parts:
-        return SKIN if hit % PARTS == PARTS - 1 else CLOTHES
+        return SKIN if hit % PARTS == HEAD else CLOTHES
     if hit < solids.cylinders.shape[0]:
         return np.int64(solids.cylinder_material[hit - people_parts])
     return np.int64(solids.box_material[hit - solids.cylinders.shape[0]])
