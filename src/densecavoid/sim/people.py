@@ -20,6 +20,11 @@ PARTS = 4
 ABSENT, STANDING, WANDERING, TRAVERSING, RECORDED = range(5)
 """What a person does: is not there; stands; walks to random places; walks to one and leaves; follows a recording."""
 
+STEP_OVER_M = 0.2
+"""What is no higher (kerbs, ramps, steps) people walk over."""
+WALK_UNDER_M = 2.0
+"""What begins above this (lamps, crowns of trees) they walk under."""
+
 _LEG_RADIUS_M = 0.065
 _HEAD_RADIUS_M = 0.09
 _LEG_SPACING_M = 0.09  # from the body's axis, sideways

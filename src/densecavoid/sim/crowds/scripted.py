@@ -24,6 +24,32 @@ def uniform(random, b):
 
 
 @inner
+def _next_leg(state, b, i, arrived):
+    """Sends person i to the next place of the net: to any link but the one they came by, or back where they came from."""
+    origin, here = state.leg[b, i]
+    if arrived:
+        links = state.net_links[b, here]
+        count = 0
+        for k in range(links.shape[0]):
+            if links[k] >= 0 and links[k] != origin:
+                count += 1
+        chosen, target = int(uniform(state.random, b) * count), origin
+        for k in range(links.shape[0]):
+            if links[k] >= 0 and links[k] != origin:
+                if chosen == 0:
+                    target = links[k]
+                chosen -= 1
+        origin = here
+    else:
+        origin, target = here, origin
+    state.leg[b, i, 0], state.leg[b, i, 1] = origin, target
+    place = state.net_places[b, target]
+    away, angle = place[2] * math.sqrt(uniform(state.random, b)), 2.0 * math.pi * uniform(state.random, b)
+    state.person_goal[b, i, 0] = place[0] + away * math.cos(angle)
+    state.person_goal[b, i, 1] = place[1] + away * math.sin(angle)
+
+
+@inner
 def intend_scripted(state, b, intended, dt):
     """Writes where wanderers and traversers of world b want to go, as velocities [P, 2]."""
     for i in range(state.pos.shape[1]):
@@ -37,8 +63,11 @@ def intend_scripted(state, b, intended, dt):
             state.behaviour[b, i] = ABSENT
             continue
         if behaviour == WANDERING and (distance < _ARRIVED_M or uniform(state.random, b) < state.change_rate[b] * dt):
-            area = state.wander_area[b]
-            state.person_goal[b, i, 0] = area[0] + (area[2] - area[0]) * uniform(state.random, b)
-            state.person_goal[b, i, 1] = area[1] + (area[3] - area[1]) * uniform(state.random, b)
+            if state.leg[b, i, 1] >= 0:
+                _next_leg(state, b, i, distance < _ARRIVED_M)
+            else:
+                area = state.wander_area[b]
+                state.person_goal[b, i, 0] = area[0] + (area[2] - area[0]) * uniform(state.random, b)
+                state.person_goal[b, i, 1] = area[1] + (area[3] - area[1]) * uniform(state.random, b)
         scale = state.preferred_speed[b, i] / max(distance, 1e-6)
         intended[i, 0], intended[i, 1] = off_x * scale, off_y * scale
