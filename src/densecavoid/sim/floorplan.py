@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from densecavoid.sim.materials import GLASS, MATERIALS, material_number
 
 WALL_HEIGHT_M = 2.5
 WALL_THICKNESS_M = 0.1
+DOOR_HEIGHT_M = 2.1
 
 
 class PackedPlan(NamedTuple):
@@ -132,18 +134,44 @@ class FloorPlan:
         y1: float,
         thickness: float = WALL_THICKNESS_M,
         material: str = "plaster",
+        doors: Sequence[tuple[float, float]] = (),
     ) -> None:
-        """A wall whose centre line runs from (x0, y0) to (x1, y1); of glass with that material."""
-        self.box(
-            (x0 + x1) / 2,
-            (y0 + y1) / 2,
-            math.hypot(x1 - x0, y1 - y0) + thickness,
-            thickness,
-            math.atan2(y1 - y0, x1 - x0),
-            0.0,
-            WALL_HEIGHT_M,
-            material,
-        )
+        """A wall whose centre line runs from (x0, y0) to (x1, y1); of glass with that material.
+
+        Args:
+            x0: start.
+            y0: start.
+            x1: end.
+            y1: end.
+            thickness: of the wall, by which its ends reach beyond the line's (half each).
+            material: of the wall.
+            doors: (distance of the door's middle from the start, clear width) of each, with a lintel above it.
+
+        Raises:
+            ValueError: if a door reaches beyond the wall or into another door.
+        """
+        length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
+
+        def part(begin: float, end: float, z_min: float = 0.0) -> None:
+            at = (begin + end) / 2
+            x, y = x0 + at * math.cos(yaw), y0 + at * math.sin(yaw)
+            self.box(x, y, end - begin, thickness, yaw, z_min, WALL_HEIGHT_M, material)
+
+        if not doors:
+            x, y = (x0 + x1) / 2, (y0 + y1) / 2
+            self.box(x, y, length + thickness, thickness, yaw, 0.0, WALL_HEIGHT_M, material)
+            return
+        begin = -thickness / 2
+        for at, width in sorted(doors):
+            require(width > 0, "door width", width, "positive")
+            fits = begin <= at - width / 2 and at + width / 2 <= length + thickness / 2
+            require(fits, "door (distance, width)", (at, width), f"inside a wall of {length:g} m, clear of other doors")
+            if at - width / 2 > begin + 1e-6:
+                part(begin, at - width / 2)
+            part(at - width / 2, at + width / 2, DOOR_HEIGHT_M)
+            begin = at + width / 2
+        if begin < length + thickness / 2 - 1e-6:
+            part(begin, length + thickness / 2)
 
     def room(self, x_min: float, y_min: float, x_max: float, y_max: float) -> None:
         """Four walls whose inner faces are the given rectangle."""
