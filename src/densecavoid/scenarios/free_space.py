@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from densecavoid.frames import RobotConfig
 from densecavoid.sim._jit import kernel
@@ -36,6 +37,9 @@ Area = tuple[float, float, float, float]
 
 _MAX_TRIES = 2000
 
+
+Ground = Callable[[Float[np.ndarray, "N 2"]], Bool[np.ndarray, "N"]]
+"""Tells which points are places to be, where the plan alone does not (a map's unknown cells are not)."""
 
 Heights = tuple[float, float]
 """What reaches above the first and begins below the second counts (m)."""
@@ -168,12 +172,15 @@ def clear_path(
     area: Area,
     clearance_m: float,
     cell_m: float = 0.1,
+    ground: Ground | None = None,
 ) -> Float[np.ndarray, "N 2"] | None:
     """The shortest way from start to goal over grid cells that are `clearance_m` from things; None without one."""
     xs = np.arange(area[0] + cell_m / 2, area[2], cell_m)
     ys = np.arange(area[1] + cell_m / 2, area[3], cell_m)
     grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
     free = clearance_grid_m(plan, area, cell_m, clearance_m) >= clearance_m
+    if ground is not None:
+        free &= ground(grid).reshape(free.shape)
 
     def cell_of(point: tuple[float, float]) -> int:
         row = int(np.clip((point[0] - area[0]) / cell_m, 0, len(xs) - 1))

@@ -1,4 +1,4 @@
-"""Scenarios by name: the paper's four of training, its four of testing, one beyond, and recorded crowds."""
+"""Scenarios by name: four of training, the tests, places, recorded crowds, and the user's own building."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from densecavoid.scenarios.dense_static import DenseStatic
 from densecavoid.scenarios.doorway import Doorway
 from densecavoid.scenarios.l_corridor import LCorridor
 from densecavoid.scenarios.lobby import Lobby
+from densecavoid.scenarios.own_building import own_building
 from densecavoid.scenarios.plaza import Plaza
 from densecavoid.scenarios.random_goal import RandomGoal
 from densecavoid.scenarios.random_pedestrians import RandomPedestrians
@@ -51,7 +52,8 @@ def make_scenario(name: str, data: Path | None = None) -> Scenario:
     """The scenario of that name.
 
     Args:
-        name: one of `names()`, `hermes:<run>[:reactive]` or `tracks:FILE[:reactive]`.
+        name: one of `names()`, `hermes:<run>[:reactive]`, `tracks:FILE[:reactive]`, `map:FILE[:PEOPLE]` (a ROS map) or
+            `plan:FILE` (a floor plan in TOML).
         data: folder of the recordings, for `hermes`.
 
     Raises:
@@ -59,10 +61,12 @@ def make_scenario(name: str, data: Path | None = None) -> Scenario:
     """
     if name.startswith(("hermes:", "tracks:")) or name in ("hermes", "tracks"):
         return recorded_scenario(name, data)
+    if name.startswith(("map:", "plan:")) or name in ("map", "plan"):
+        return own_building(name)
     known: dict[str, Scenario] = {**TRAINING, **TESTING, **PLACES}
     if name not in known:
         raise ValueError(
             f"unknown scenario {name!r}, expected one of: {', '.join(known)}, "
-            "hermes:<run>[:reactive], tracks:FILE[:reactive]"
+            "hermes:<run>[:reactive], tracks:FILE[:reactive], map:FILE[:PEOPLE], plan:FILE"
         )
     return known[name]

@@ -6,20 +6,21 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.ndimage import label
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from densecavoid.scenarios.free_space import FOR_PEOPLE, Area, clearance_grid_m, clearances_m
+from densecavoid.scenarios.free_space import FOR_PEOPLE, Area, Ground, clearance_grid_m, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import NET_LINKS, NET_PLACES, WalkNet
 
 BODY_ROOM_M = 0.36
 """From the middle of a way to the nearest thing: a broad body, and some."""
+_COMFORTABLE_M, _SHORT_CELLS = 0.65, 3  # they keep this from corners, unless it makes them stop every few cells
 _ROOMY_M = 1.2  # ways prefer to keep this far from things
 _SPREAD_M = 0.9
-_DESTINATION_EVERY_M2 = 9.0
+_DESTINATION_EVERY_M2 = 4.0
 _MAX_DESTINATIONS = 28
 _SAME_PLACE_M = 0.7
 _NEIGHBOURS = 3
@@ -36,17 +37,18 @@ def way_is_clear(
     return bool((clear >= need).all())
 
 
-class _Ground:
+class _Cells:
     """The cells of an area where people may walk, as a graph whose ways keep to the middle."""
 
     def __init__(
-        self, plan: FloorPlan, area: Area, cell_m: float, near: tuple[float, float], allowed: Bool[np.ndarray, "X Y"] | None
+        self, plan: FloorPlan, area: Area, cell_m: float, near: tuple[float, float], ground: Ground | None
     ) -> None:
         self.origin, self.cell_m = np.array(area[:2]), cell_m
         self.clearance = clearance_grid_m(plan, area, cell_m, _ROOMY_M, FOR_PEOPLE)
-        free = self.clearance >= BODY_ROOM_M + 0.04
-        if allowed is not None:
-            free &= allowed
+        # The middle of a narrow door may lie half a cell from the nearest centre; `_centred` finds it again.
+        free = self.clearance >= max(0.05, BODY_ROOM_M - cell_m / 2)
+        if ground is not None:
+            free[free] = ground(self.places(np.argwhere(free)))
         regions, count = label(free)  # type: ignore[misc]
         if count == 0:
             raise ValueError(f"no free space for people in {area}")
@@ -99,7 +101,7 @@ def walk_net(
     area: Area,
     near: tuple[float, float],
     cell_m: float = 0.2,
-    allowed: Bool[np.ndarray, "X Y"] | None = None,
+    ground: Ground | None = None,
 ) -> WalkNet:
     """A net of places over the part of an area that can be walked to from `near`.
 
@@ -112,22 +114,36 @@ def walk_net(
         area: where to look.
         near: a place in the part to cover; the robot's start.
         cell_m: of the grid that ways are found on.
-        allowed: cells of that grid where people may be; None: all.
+        ground: tells which points are places to be; None: all that are free.
 
     Raises:
         ValueError: if there is no room to walk.
     """
-    ground = _Ground(plan, area, cell_m, near, allowed)
-    destinations = ground.destinations(rng)
-    cost, before = dijkstra(ground.graph, directed=False, indices=destinations, return_predecessors=True)
+    cells = _Cells(plan, area, cell_m, near, ground)
+    destinations = cells.destinations(rng)
+    cost, before = dijkstra(cells.graph, directed=False, indices=destinations, return_predecessors=True)
     between = cost[:, destinations]
     net = _Net(plan)
     for a, b in _pairs(between):
         way = [int(destinations[b])]
         while way[-1] != destinations[a]:
             way.append(int(before[a, way[-1]]))
-        net.add_way(ground.points[way], ground.room[way])
+        net.add_way(cells.points[way], cells.room[way])
     return net.finished(area)
+
+
+def _centred(
+    plan: FloorPlan, points: Float[np.ndarray, "N 2"], room: Float[np.ndarray, "N"]
+) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, "N"]]:
+    """The points of a way, those in narrow places moved by up to .12 m to where there is most room; and their room."""
+    narrow = np.flatnonzero(room < 0.5)
+    steps = np.stack(np.meshgrid(*[np.linspace(-0.12, 0.12, 5)] * 2), axis=-1).reshape(-1, 2)
+    tried = points[narrow, None] + steps
+    clear = clearances_m(plan, tried.reshape(-1, 2), _ROOMY_M, FOR_PEOPLE).reshape(len(narrow), len(steps))
+    best = clear.argmax(axis=1)
+    points, room = points.copy(), room.copy()
+    points[narrow], room[narrow] = tried[np.arange(len(narrow)), best], clear.max(axis=1, initial=0.0)
+    return points, room
 
 
 def _pairs(between: Float[np.ndarray, "D D"]) -> list[tuple[int, int]]:
@@ -154,16 +170,22 @@ class _Net:
 
     def add_way(self, points: Float[np.ndarray, "N 2"], room: Float[np.ndarray, "N"]) -> None:
         """Links the ends of a way of grid cells, with as few places between as keep every link straight and free."""
+        points, room = _centred(self._plan, points, room)
         stops, at = [0], 0
         while at < len(points) - 1:
-            end = len(points) - 1
-            while end > at + 1 and not way_is_clear(self._plan, points[at], points[end], (BODY_ROOM_M, BODY_ROOM_M)):
-                end = max(at + 1, end - max(1, (end - at) // 6))
-            stops.append(end)
-            at = end
+            end = self._farthest(points, at, _COMFORTABLE_M)
+            at = end if end > at + _SHORT_CELLS else max(end, self._farthest(points, at, BODY_ROOM_M))
+            stops.append(at)
         places = [self._place(points[k], float(room[k])) for k in stops]
         for a, b in pairwise(places):
             self._link(a, b)
+
+    def _farthest(self, points: Float[np.ndarray, "N 2"], at: int, room_m: float) -> int:
+        """How far along a way one sees from its point `at`, or nearly."""
+        end = len(points) - 1
+        while end > at + 1 and not way_is_clear(self._plan, points[at], points[end], (room_m, room_m)):
+            end = max(at + 1, end - max(1, (end - at) // 6))
+        return end
 
     def _place(self, point: np.ndarray, room: float) -> int:
         for k, place in enumerate(self._places):

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
 
+from densecavoid.frames import require
 from densecavoid.scenarios.free_space import (
     FOR_PEOPLE,
     FOR_ROBOT,
     Area,
+    Ground,
     clear_path,
     clearances_m,
     free_points,
@@ -26,8 +27,8 @@ from densecavoid.sim.spec import Crowd, WalkNet, WorldSpec
 FLOW = TRAVERSING
 """What people of a flow do."""
 
-WAY_CLEARANCE_M = 0.40
-_END_CLEARANCE_M = 0.5
+WAY_CLEARANCE_M = 0.38
+END_CLEARANCE_M = 0.5
 _WAYPOINT_SPACING_M = 2.0
 _FROM_ROBOT_M = 1.5  # between the robot's start and a person's centre
 _GAP_M = 0.1  # between bodies at the start
@@ -54,9 +55,22 @@ def first_that_fits(name: str, build: Callable[[], WorldSpec], tries: int = 30) 
 class WorldBuilder:
     """Collects what a world needs; `robot` comes first, then `talkers` and `standing`, then walkers."""
 
-    def __init__(self, rng: np.random.Generator, name: str, plan: FloorPlan, area: Area) -> None:
-        self.rng, self.name, self.plan, self.area = rng, name, plan, area
-        self._with_standing = copy.deepcopy(plan)
+    def __init__(
+        self, rng: np.random.Generator, name: str, plan: FloorPlan, area: Area, ground: Ground | None = None, cell_m: float = 0.1
+    ) -> None:
+        """Begins with nobody.
+
+        Args:
+            rng: draws everything.
+            name: of the scenario.
+            plan: what stands there.
+            area: where everything takes place.
+            ground: tells which points are places to be; None: all that are free.
+            cell_m: of the grid on which the robot's way is found.
+        """
+        self.rng, self.name, self.plan, self.area, self.ground = rng, name, plan, area, ground
+        self._cell_m = cell_m
+        self._with_standing = plan.copy()
         self._people: list[tuple[float, ...]] = []  # x, y, goal x, goal y, speed, radius, height, behaviour, heading
         self._group: list[int] = []
         self._leg: list[tuple[int, int]] = []
@@ -71,8 +85,8 @@ class WorldBuilder:
         Raises:
             ValueError: if there are none so far apart with a clear way.
         """
-        starts = free_points(self.rng, self.plan, start_area, 8, _END_CLEARANCE_M)
-        goals = free_points(self.rng, self.plan, goal_area, 8, _END_CLEARANCE_M)
+        starts = free_points(self.rng, self.plan, start_area, 8, END_CLEARANCE_M)
+        goals = free_points(self.rng, self.plan, goal_area, 8, END_CLEARANCE_M)
         for start, goal in zip(starts.tolist(), goals.tolist(), strict=True):
             if distance_m[0] <= math.dist(start, goal) <= distance_m[1] and self.robot_at(
                 (start[0], start[1]), (goal[0], goal[1])
@@ -82,7 +96,7 @@ class WorldBuilder:
 
     def robot_at(self, start: tuple[float, float], goal: tuple[float, float], heading_rad: float | None = None) -> bool:
         """Takes this start and goal; False, and nothing taken, if no clear way joins them."""
-        path = clear_path(self._with_standing, start, goal, self.area, WAY_CLEARANCE_M)
+        path = self._way(self._with_standing, start, goal)
         if path is None:
             return False
         self.start, self.goal, self.path = start, goal, path
@@ -91,24 +105,61 @@ class WorldBuilder:
         self._heading = towards if heading_rad is None else heading_rad
         return True
 
+    def _way(
+        self, plan: FloorPlan, start: tuple[float, float], goal: tuple[float, float]
+    ) -> Float[np.ndarray, "N 2"] | None:
+        return clear_path(plan, start, goal, self.area, WAY_CLEARANCE_M, self._cell_m, self.ground)
+
     # -- people who stand ----------------------------------------------------------------------------------------------
 
     def talkers(self, groups: int, area: Area | None = None) -> None:
         """Adds up to `groups` rings of two to four people who talk, face to face, where the robot still gets by."""
         for _ in range(groups):
-            count = int(self.rng.choice([2, 2, 3, 4]))
-            ring = _TALKING_M[count]
-            for _ in range(_TRIES // 4):
-                low, high = np.array((area or self.area)[:2]), np.array((area or self.area)[2:])
-                centre = self.rng.uniform(low, high)
-                if clearances_m(self.plan, centre[None], 3.0, FOR_PEOPLE)[0] < ring + 0.6:
-                    continue
-                angles = self.rng.uniform(0, 2 * math.pi) + 2 * math.pi * np.arange(count) / count
-                angles = angles + self.rng.normal(0, 0.12, count)
-                pos = centre + ring * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-                if self._stand(pos, angles + math.pi, group=self._groups):
-                    self._groups += 1
+            self._ring(int(self.rng.choice([2, 2, 3, 4])), area or self.area)
+
+    def talking(self, people: int, area: Area | None = None) -> None:
+        """Adds so many people in rings of two to four who talk.
+
+        Raises:
+            ValueError: if there is no room for so many, or it is one alone.
+        """
+        require(people != 1, "people who talk", people, "2 or more")
+        left = people
+        while left > 0:
+            count = left if left in (2, 3) else min(int(self.rng.choice([2, 2, 3, 4])), left)
+            count = 2 if left - count == 1 and count > 2 else count + (left - count == 1)
+            if not self._ring(count, area or self.area):
+                raise ValueError(f"no room for {people} people who talk in {area or self.area}, {left} are left")
+            left -= count
+
+    def bystanders(self, people: int, area: Area | None = None) -> None:
+        """Adds people who stand alone and look anywhere.
+
+        Raises:
+            ValueError: if there is no room for so many.
+        """
+        where = area or self.area
+        for k in range(people):
+            for _ in range(_TRIES):
+                pos = self.rng.uniform(where[:2], where[2:])[None]
+                if self.standing(pos, self.rng.uniform(-math.pi, math.pi, 1)):
                     break
+            else:
+                raise ValueError(f"no room for {people} people who stand in {where}, {people - k} are left")
+
+    def _ring(self, count: int, area: Area) -> bool:
+        ring = _TALKING_M[count]
+        for _ in range(_TRIES // 2):
+            centre = self.rng.uniform(area[:2], area[2:])
+            if clearances_m(self.plan, centre[None], 3.0, FOR_PEOPLE)[0] < ring + 0.6:
+                continue
+            angles = self.rng.uniform(0, 2 * math.pi) + 2 * math.pi * np.arange(count) / count
+            angles = angles + self.rng.normal(0, 0.12, count)
+            pos = centre + ring * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+            if self._stand(pos, angles + math.pi, group=self._groups):
+                self._groups += 1
+                return True
+        return False
 
     def standing(self, pos: Float[np.ndarray, "P 2"], heading_rad: Float[np.ndarray, "P"]) -> bool:
         """Adds people who stand alone, all or none of them: False if there is no room or the robot's way is closed."""
@@ -118,10 +169,10 @@ class WorldBuilder:
         radius, height = sample_bodies(self.rng, len(pos))
         if not all(self._fits(p, r) for p, r in zip(pos, radius, strict=True)):
             return False
-        plan = copy.deepcopy(self._with_standing)
+        plan = self._with_standing.copy()
         for (x, y), r in zip(pos.tolist(), radius.tolist(), strict=True):
             plan.pillar(x, y, r)
-        path = clear_path(plan, self.start, self.goal, self.area, WAY_CLEARANCE_M)
+        path = self._way(plan, self.start, self.goal)
         if path is None:
             return False
         self._with_standing, self.path = plan, path
@@ -138,7 +189,15 @@ class WorldBuilder:
             ValueError: if there is no room for so many.
         """
         if count:
-            self.walkers_on(walk_net(self.rng, self._with_standing, self.area, self.start), count, speed)
+            self.walkers_on(self.net(), count, speed)
+
+    def net(self) -> WalkNet:
+        """Places in sight of one another, clear of everybody who stands.
+
+        Raises:
+            ValueError: if there is no room to walk.
+        """
+        return walk_net(self.rng, self._with_standing, self.area, self.start, ground=self.ground)
 
     def walkers_on(self, net: WalkNet, count: int, speed: tuple[float, float]) -> None:
         """The same on a given net."""
@@ -207,8 +266,8 @@ class WorldBuilder:
             leg=None if self._net is None else np.array(self._leg),
         )
 
-    def world(self) -> WorldSpec:
-        """The world, with time for three times the way at .9 m/s."""
+    def world(self, time_limit_s: float | None = None) -> WorldSpec:
+        """The world; unless given, with time for three times the way at .9 m/s, and at least 60 s."""
         length = float(np.hypot(*np.diff(self.path, axis=0).T).sum())
         return WorldSpec(
             scenario=self.name,
@@ -216,7 +275,7 @@ class WorldBuilder:
             start_pose=(*self.start, self._heading),
             goal=self.goal,
             crowd=self.crowd(),
-            time_limit_s=max(60.0, 3.3 * length),
+            time_limit_s=time_limit_s or max(60.0, 3.3 * length),
             waypoints=points_along(self.path, _WAYPOINT_SPACING_M),
         )
 
@@ -240,6 +299,8 @@ class WorldBuilder:
         if any(math.dist(pos, p[:2]) < radius + p[5] + _GAP_M for p in self._people):
             return False
         here = np.asarray(pos, np.float64)[None]
+        if self.ground is not None and not self.ground(here)[0]:
+            return False
         return all(clearances_m(self.plan, here, 1.0, h)[0] > radius + 0.03 for h in (FOR_PEOPLE, FOR_ROBOT))
 
     def _add(self, pos, goal, speed, radius, height, behaviour, heading, group, leg=(-1, -1)) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -41,6 +42,8 @@ class FloorPlan:
     _cylinders: list[tuple[float, ...]] = field(default_factory=list)
     _box_material: list[int] = field(default_factory=list)
     _cylinder_material: list[int] = field(default_factory=list)
+    _packed: tuple[tuple[int, int], PackedPlan] | None = field(default=None, compare=False, repr=False)
+    """The last packing and how much it held: a plan only grows."""
 
     def __post_init__(self) -> None:
         require(self.ceiling_m > 0, "FloorPlan.ceiling_m", self.ceiling_m, "positive, inf outdoors")
@@ -65,8 +68,39 @@ class FloorPlan:
         """Name of each cylinder's material."""
         return [MATERIALS[number].name for number in self._cylinder_material]
 
+    def copy(self) -> FloorPlan:
+        """A plan of the same things that grows by itself."""
+        twin = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, list):
+                setattr(twin, name, list(value))
+        return twin
+
+    def cropped(self, x_min: float, y_min: float, x_max: float, y_max: float) -> FloorPlan:
+        """A plan of the boxes and pillars that reach into a rectangle, or nearly."""
+        low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+
+        def inside(rows: Float[np.ndarray, "n k"], reach: Float[np.ndarray, "n"]) -> list[int]:
+            near = (rows[:, :2] + reach[:, None] >= low) & (rows[:, :2] - reach[:, None] <= high)
+            return np.flatnonzero(near.all(axis=1)).tolist()
+
+        part = self.copy()
+        boxes = inside(self.boxes, np.hypot(self.boxes[:, 3], self.boxes[:, 4]))
+        pillars = inside(self.cylinders, self.cylinders[:, 2])
+        part._boxes, part._box_material = [self._boxes[k] for k in boxes], [self._box_material[k] for k in boxes]
+        part._cylinders = [self._cylinders[k] for k in pillars]
+        part._cylinder_material = [self._cylinder_material[k] for k in pillars]
+        part._packed = None
+        return part
+
     def packed(self) -> PackedPlan:
-        """Everything, for the kernels."""
+        """Everything, for the kernels. Not to be written to."""
+        size = len(self._boxes), len(self._cylinders)
+        if self._packed is None or self._packed[0] != size:
+            self._packed = size, self._pack()
+        return self._packed[1]
+
+    def _pack(self) -> PackedPlan:
         material = np.array(self._box_material, np.uint8)
         order = np.argsort(material == GLASS, kind="stable")
         boxes, material = self.boxes[order], material[order]

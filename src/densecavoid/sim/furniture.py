@@ -8,8 +8,8 @@ shelves of 1.8 m, kerbs of .10 to .15 m.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from densecavoid.frames import choose, require
 from densecavoid.sim.floorplan import FloorPlan
@@ -99,12 +99,12 @@ def lamp_post(plan: FloorPlan, x: float, y: float, yaw: float = 0.0) -> None:
 
 def trolley(plan: FloorPlan, x: float, y: float, yaw: float = 0.0, width: float = 0.6, depth: float = 1.0) -> None:
     """A platform trolley: a deck lower than the lidar looks, and a handle at its back."""
-    plan.box(x, y, depth, width, yaw, 0.14, 0.19, "metal")
+    plan.box(x, y, depth, width, yaw, 0.20, 0.24, "metal")
     back = -depth / 2 + 0.02
     for left in (-width / 2 + 0.02, width / 2 - 0.02):
-        plan.box(*_at(x, y, yaw, back, left), 0.04, 0.04, yaw, 0.19, 0.95, "metal")
+        plan.box(*_at(x, y, yaw, back, left), 0.04, 0.04, yaw, 0.24, 0.95, "metal")
         for ahead in (back + 0.08, -back - 0.08):
-            plan.box(*_at(x, y, yaw, ahead, left), 0.1, 0.04, yaw, 0.0, 0.14, "black")
+            plan.box(*_at(x, y, yaw, ahead, left), 0.1, 0.04, yaw, 0.0, 0.20, "black")
     plan.box(*_at(x, y, yaw, back, 0.0), 0.04, width, yaw, 0.91, 0.95, "metal")
 
 
@@ -142,10 +142,8 @@ def ramp(
         plan.box(*_at(x, y, yaw, (k + 0.5) * tread - length / 2, 0.0), tread, width, yaw, 0.0, top, "concrete")
 
 
-class Build(Protocol):
-    """Adds one piece of furniture, of its usual size."""
-
-    def __call__(self, plan: FloorPlan, x: float, y: float, yaw: float = 0.0) -> None: ...
+Build = Callable[[FloorPlan, float, float, float], None]
+"""Adds one piece of furniture, of its usual size, to a plan at (x, y, yaw)."""
 
 
 @dataclass(frozen=True)
