@@ -78,9 +78,8 @@ class Building:
     def __post_init__(self) -> None:
         fixed = self.start.at is not None and self.goal.at is not None
         if fixed and not self._window_has_way():
-            raise ValueError(
-                f"{self.name}: no way of {WAY_CLEARANCE_M} m clearance from start {self.start.at} to goal {self.goal.at}"
-            )
+            ends = f"from start {self.start.at} to goal {self.goal.at}"
+            raise ValueError(f"{self.name}: no way of {WAY_CLEARANCE_M} m clearance {ends}")
 
     @cached_property
     def area(self) -> Area:
@@ -162,7 +161,7 @@ class Building:
 
     @cached_property
     def _regions(self) -> tuple[Int[np.ndarray, "X Y"], float]:
-        """Which cells the robot can get to from one another, by the number of their region (0: none), and their size."""
+        """Regions of cells between which the robot can get about, by number (0: none), and the cells' size."""
         size = (self.area[2] - self.area[0]) * (self.area[3] - self.area[1])
         cell_m = max(_CELL_M, math.sqrt(size / _REGION_CELLS))
         # As far as a way may be from the nearest cell's centre, so that no narrow door is lost.

@@ -80,10 +80,10 @@ def _spread_clearances(grid, x0, y0, cell, boxes, cylinders, low, high):
                 continue
             x, y = cylinder[CYL_X], cylinder[CYL_Y]
             reach_x = reach_y = cylinder[CYL_RADIUS] + limit
-        first_row = max(0, int(math.floor((x - reach_x - x0) / cell)))
-        last_row = min(grid.shape[0], int(math.ceil((x + reach_x - x0) / cell)) + 1)
-        first_col = max(0, int(math.floor((y - reach_y - y0) / cell)))
-        last_col = min(grid.shape[1], int(math.ceil((y + reach_y - y0) / cell)) + 1)
+        first_row = max(0, math.floor((x - reach_x - x0) / cell))
+        last_row = min(grid.shape[0], math.ceil((x + reach_x - x0) / cell) + 1)
+        first_col = max(0, math.floor((y - reach_y - y0) / cell))
+        last_col = min(grid.shape[1], math.ceil((y + reach_y - y0) / cell) + 1)
         for row in range(first_row, last_row):
             for col in range(first_col, last_col):
                 at_x, at_y = x0 + (row + 0.5) * cell, y0 + (col + 0.5) * cell

@@ -18,7 +18,7 @@ from densecavoid.sim.spec import WorldSpec
 
 @dataclass(frozen=True)
 class Lobby(Levelled):
-    """Glass front with an entrance, counters at the back. Level 0 has 4 people who walk, level 1 up to 18 and 5 groups."""
+    """Glass front with an entrance, counters at the back. Level 0: 4 people walk; level 1: up to 18, and 5 groups."""
 
     @property
     def name(self) -> str:

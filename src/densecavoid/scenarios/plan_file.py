@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from densecavoid.scenarios.building import KINDS, Building, CrowdLine, Spot
-from densecavoid.scenarios.free_space import Area
 from densecavoid.scenarios.ros_map import RosMap, read_ros_map
 from densecavoid.sim.floorplan import WALL_HEIGHT_M, WALL_THICKNESS_M, FloorPlan
 from densecavoid.sim.furniture import PIECES, kerb, place, ramp
@@ -65,7 +64,9 @@ class _Table:
             raise self.wrong(key, value, "a whole number")
         return value
 
-    def numbers(self, key: str, names: str, default: Any = _MISSING) -> tuple[float, ...]:
+    # What may be left out gives its default, of any type; the two below are otherwise tuples of floats.
+
+    def numbers(self, key: str, names: str, default: Any = _MISSING) -> Any:
         value = self.take(key, default)
         if value is default and default is not _MISSING:
             return value
@@ -76,7 +77,7 @@ class _Table:
             raise self.wrong(key, value, expected)
         return tuple(map(float, value))
 
-    def area(self, key: str = "area", default: Any = _MISSING) -> Area | Any:
+    def area(self, key: str = "area", default: Any = _MISSING) -> Any:
         value = self.numbers(key, "x_min, y_min, x_max, y_max", default)
         if value is not default and not (value[0] < value[2] and value[1] < value[3]):
             raise self.wrong(key, list(value), "[x_min, y_min, x_max, y_max] with x_min < x_max and y_min < y_max")

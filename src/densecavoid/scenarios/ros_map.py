@@ -1,7 +1,7 @@
 """A ROS map (`map.yaml` and its image) as walls: map_server's cell values, and few boxes for the occupied ones.
 
-Reads what nav2_map_server reads, by the same rules (https://wiki.ros.org/map_server, Value Interpretation; Nav2 releases
-up to Jazzy where the two differ). It knows nothing of people and robots.
+Reads what nav2_map_server reads, by the same rules (https://wiki.ros.org/map_server, Value Interpretation; Nav2 up to
+its release for Jazzy where the two differ). It knows nothing of people and robots.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class RosMap:
     """An occupancy grid at its place in the world."""
 
     cells: Int8[np.ndarray, "rows cols"]
-    """Values as in nav_msgs/OccupancyGrid. Row 0 is the lowest of the image: rows go along the map's y, columns along x."""
+    """Values as in nav_msgs/OccupancyGrid. Row 0 is the image's lowest: rows go along the map's y, columns along x."""
     resolution_m: float
     origin: tuple[float, float, float]
 
@@ -167,13 +167,14 @@ def interpret(image: Image.Image, config: MapConfig) -> Int8[np.ndarray, "rows c
     one), and occupancy p = 1 - s, or s with `negate`:
 
     - trinary: 100 where p > occupied_thresh, 0 where p < free_thresh, else unknown.
-    - scale: unknown where the pixel is not opaque, 100 and 0 as before, else 100 (p - free) / (occupied - free), rounded.
+    - scale: unknown where the pixel is not opaque, 100 and 0 as before, else 100 (p - free) / (occupied - free).
     - raw: the shade as a byte where that is at most 100, else unknown. Thresholds and `negate` have no say.
     """
     total, channels, most, alpha = _channels(image, with_alpha=config.mode == "trinary")
     # Few sums can occur: their values are looked up.
-    shade = np.arange(channels * most + 1) / (channels * most)
-    occupancy = shade if config.negate else 1.0 - shade
+    sums = np.arange(channels * most + 1)
+    shade = sums / sums[-1]
+    occupancy = shade if config.negate else (sums[-1] - sums) / sums[-1]
     if config.mode == "raw":
         byte = np.floor(shade * 255 + 0.5)
         table = np.where(byte <= OCCUPIED, byte, UNKNOWN)
@@ -191,7 +192,7 @@ def interpret(image: Image.Image, config: MapConfig) -> Int8[np.ndarray, "rows c
 
 def _channels(
     image: Image.Image, with_alpha: bool
-) -> tuple[UInt32[np.ndarray, "rows cols"], int, int, UInt32[np.ndarray, "rows cols"] | UInt8[np.ndarray, "rows cols"] | None]:
+) -> tuple[UInt32[np.ndarray, "rows cols"], int, int, UInt8[np.ndarray, "rows cols"] | None]:
     """Sum of the channels, how many they are, the greatest value of one, and the alpha channel where there is one."""
     if image.mode.startswith("I"):  # 16 bits of grey
         return np.asarray(image).astype(np.uint32), 1, 65535, None

@@ -29,7 +29,7 @@ _NEIGHBOURS = 3
 def way_is_clear(
     plan: FloorPlan, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], room_m: tuple[float, float]
 ) -> bool:
-    """Whether a straight way keeps `room_m` to things: so much at its start and at its end, and between them between."""
+    """Whether a straight way keeps `room_m` to things, so much at its start and at its end, and between evenly less."""
     count = max(2, math.ceil(math.dist(start, end) / 0.1) + 1)
     share = np.linspace(0.0, 1.0, count)[:, None]
     need = (1 - share[:, 0]) * room_m[0] + share[:, 0] * room_m[1]
@@ -78,21 +78,28 @@ class _Cells:
         rows, columns = np.concatenate(sources), np.concatenate(targets)
         return csr_matrix((np.concatenate(costs), (rows, columns)), (size, size))
 
-    def destinations(self, rng: np.random.Generator) -> Int[np.ndarray, "D"]:
-        """Cells spread over the ground, away from things where there is a choice."""
-        area_m2 = len(self.cells) * self.cell_m**2
-        count = int(np.clip(area_m2 / _DESTINATION_EVERY_M2, 3, _MAX_DESTINATIONS))
+    def destinations(
+        self, rng: np.random.Generator
+    ) -> tuple[Int[np.ndarray, "D"], Float[np.ndarray, "D N"], Int[np.ndarray, "D N"]]:
+        """Cells spread over the ground, away from things where there is a choice, and the ways from them.
+
+        Returns:
+            (cells, cost from each to every cell, the cell before on the way there).
+        """
+        count = int(np.clip(len(self.cells) * self.cell_m**2 / _DESTINATION_EVERY_M2, 3, _MAX_DESTINATIONS))
         roomy = np.flatnonzero(self.room >= min(0.6, np.quantile(self.room, 0.5)))
-        chosen = [int(rng.choice(roomy))]
+        chosen, costs, befores = [int(rng.choice(roomy))], [], []
         distance = np.full(len(roomy), np.inf)
-        for _ in range(count - 1):
-            distance = np.minimum(distance, np.hypot(*(self.points[roomy] - self.points[chosen[-1]]).T))
-            if distance.max() < 2 * _SAME_PLACE_M:
-                break
-            # Farthest from all before, at random among the far ones.
-            far = np.flatnonzero(distance >= 0.7 * distance.max())
+        while True:
+            cost, before = dijkstra(self.graph, directed=False, indices=chosen[-1], return_predecessors=True)
+            costs.append(cost)
+            befores.append(before.astype(np.int64))
+            distance = np.minimum(distance, cost[roomy])
+            if len(chosen) == count or distance.max() < 2 * _SAME_PLACE_M:
+                return np.array(chosen), np.array(costs), np.array(befores)
+            # Far from all before, as one walks, at random among the far ones: no room is forgotten.
+            far = np.flatnonzero(distance >= 0.8 * distance.max())
             chosen.append(int(roomy[rng.choice(far)]))
-        return np.array(chosen)
 
 
 def walk_net(
@@ -120,8 +127,7 @@ def walk_net(
         ValueError: if there is no room to walk.
     """
     cells = _Cells(plan, area, cell_m, near, ground)
-    destinations = cells.destinations(rng)
-    cost, before = dijkstra(cells.graph, directed=False, indices=destinations, return_predecessors=True)
+    destinations, cost, before = cells.destinations(rng)
     between = cost[:, destinations]
     net = _Net(plan)
     for a, b in _pairs(between):
@@ -147,18 +153,18 @@ def _centred(
 
 
 def _pairs(between: Float[np.ndarray, "D D"]) -> list[tuple[int, int]]:
-    """Which destinations to join, nearest first: each to its nearest, and all in one piece (Kruskal)."""
+    """Which destinations to join: first all in one piece (Kruskal), then each to its nearest."""
     count = len(between)
     nearest = np.argsort(between, axis=1)[:, 1 : 1 + _NEIGHBOURS]
     order = sorted((float(between[a, b]), a, b) for a in range(count) for b in range(a))
-    piece, pairs = list(range(count)), []
+    piece, pairs, more = list(range(count)), [], []
     for _, a, b in order:
-        apart = piece[a] != piece[b]
-        if apart:
+        if piece[a] != piece[b]:
             piece = [piece[a] if p == piece[b] else p for p in piece]
-        if apart or b in nearest[a] or a in nearest[b]:
             pairs.append((a, b))
-    return pairs
+        elif b in nearest[a] or a in nearest[b]:
+            more.append((a, b))
+    return pairs + more
 
 
 class _Net:
@@ -176,9 +182,12 @@ class _Net:
             end = self._farthest(points, at, _COMFORTABLE_M)
             at = end if end > at + _SHORT_CELLS else max(end, self._farthest(points, at, BODY_ROOM_M))
             stops.append(at)
-        places = [self._place(points[k], float(room[k])) for k in stops]
-        for a, b in pairwise(places):
-            self._link(a, b)
+        before = self._place(points[0], float(room[0]))
+        for k, after in pairwise([*stops[1:], None]):
+            assert k is not None
+            here = self._place(points[k], float(room[k]), before, None if after is None else points[after])
+            self._link(before, here)
+            before = here
 
     def _farthest(self, points: Float[np.ndarray, "N 2"], at: int, room_m: float) -> int:
         """How far along a way one sees from its point `at`, or nearly."""
@@ -187,13 +196,18 @@ class _Net:
             end = max(at + 1, end - max(1, (end - at) // 6))
         return end
 
-    def _place(self, point: np.ndarray, room: float) -> int:
+    def _place(
+        self, point: np.ndarray, room: float, before: int | None = None, after: np.ndarray | None = None
+    ) -> int:
+        """A place at a point of a way: one that is there, if the way may as well lead over it, or a new one."""
         for k, place in enumerate(self._places):
             if math.dist(place, point) < 1e-6:
                 return k
         for k, place in enumerate(self._places):
-            if math.dist(place, point) < _SAME_PLACE_M and self._clear(k, point):
-                return k
+            joins = math.dist(place, point) < _SAME_PLACE_M and len(self._links[k]) < NET_LINKS - 1
+            if joins and before is not None and after is not None:
+                if self._clear(k, after) and (k == before or self._clear(k, self._places[before])):
+                    return k
         self._places.append(point)
         self._spread.append(min(max(room - BODY_ROOM_M - 0.1, 0.0), _SPREAD_M))
         self._links.append([])

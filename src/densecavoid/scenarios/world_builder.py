@@ -56,7 +56,13 @@ class WorldBuilder:
     """Collects what a world needs; `robot` comes first, then `talkers` and `standing`, then walkers."""
 
     def __init__(
-        self, rng: np.random.Generator, name: str, plan: FloorPlan, area: Area, ground: Ground | None = None, cell_m: float = 0.1
+        self,
+        rng: np.random.Generator,
+        name: str,
+        plan: FloorPlan,
+        area: Area,
+        ground: Ground | None = None,
+        cell_m: float = 0.1,
     ) -> None:
         """Begins with nobody.
 

@@ -13,7 +13,6 @@ from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import sample_bodies
 
-
 NET_PLACES, NET_LINKS = 64, 6
 """The most places of a net, and links of a place."""
 
@@ -39,7 +38,9 @@ class WalkNet:
         require(self.links.shape[1] <= NET_LINKS, "WalkNet.links", self.links.shape, f"at most {NET_LINKS} a place")
         known = bool(((self.links >= -1) & (self.links < count)).all())
         require(known, "WalkNet.links", self.links, f"-1 or a place below {count}")
-        require(bool((self.links[:, 0] >= 0).all()), "WalkNet.links", self.links, "at least one a place, first in its row")
+        require(
+            bool((self.links[:, 0] >= 0).all()), "WalkNet.links", self.links, "one or more a place, first in its row"
+        )
 
 
 @dataclass(frozen=True)

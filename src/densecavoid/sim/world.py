@@ -50,7 +50,7 @@ class Simulator:
         """Draws a new world for each marked one (all, without `which`) from (scenario, its seed).
 
         Raises:
-            ValueError: naming the scenario, if there is no room in one of its worlds or somebody would start in a thing.
+            ValueError: naming the scenario, if a world of it has no room, or somebody would start inside a thing.
         """
         require(
             len(seeds) == self.num_worlds, "seeds", f"{len(seeds)} long", f"one for each of {self.num_worlds} worlds"

@@ -25,7 +25,7 @@ def uniform(random, b):
 
 @inner
 def _next_leg(state, b, i, arrived):
-    """Sends person i to the next place of the net: to any link but the one they came by, or back where they came from."""
+    """Sends person i on along the net, by any link but the one they came by, or back where they came from."""
     origin, here = state.leg[b, i]
     if arrived:
         links = state.net_links[b, here]
