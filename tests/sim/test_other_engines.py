@@ -22,7 +22,7 @@ JUMP_M = 0.05
 DEFAULT = SimConfig(threads=1)
 MOUNTED = SimConfig(
     threads=1,
-    lidar=LidarConfig(mount_x_m=0.12, mount_height_m=0.35),
+    lidar=LidarConfig(mount_x_m=0.12, mount_height_m=0.35, mount_pitch_rad=0.12),
     camera=CameraConfig(mount_x_m=-0.1, mount_height_m=1.1, mount_pitch_rad=0.35, min_range_m=0.3),
 )
 """Off the robot's centre, the camera high and looking down."""

@@ -42,7 +42,13 @@ def kernels_are_compiled() -> bool:
 _FASTMATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": _FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "fastmath": _FASTMATH,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
 
 
 def kernel(function: Callable) -> Callable:

@@ -22,11 +22,14 @@ from densecavoid.sim.geometry import (
     BOX_Y,
     BOX_Z_MAX,
     BOX_Z_MIN,
+    CEILING,
     CYL_RADIUS,
     CYL_X,
     CYL_Y,
     CYL_Z_MAX,
     CYL_Z_MIN,
+    GROUND,
+    NOTHING,
 )
 from densecavoid.sim.rays import MISS, disc_interval, prism_distance, rectangle_interval
 
@@ -76,13 +79,14 @@ def _fill_column(column, row_slope, entry, leave, z_min, z_max):
 
 @kernel
 def render_level_depth(image, columns, camera, x, y, yaw, ceiling, boxes, cylinders):
-    """Fills `image` [height, width] with depths for a level camera at (x, y) looking along `yaw`; NaN for none.
+    """Casts the rays of a level camera at (x, y) that looks along `yaw`; depths are not yet limited to its range.
 
-    `columns` [width, height] is scratch space: the same image with the rows innermost, where loops vectorise.
+    Args:
+        image: [height, width] gets the depths; inf where a ray meets nothing within the camera's range.
+        columns: [width, height] scratch space: the same image with the rows innermost, where loops vectorise.
     """
     column_slope, row_slope = camera.column_slope, camera.row_slope
-    min_range, max_range = camera.min_range, camera.max_range
-    height = camera.height
+    max_range, height = camera.max_range, camera.height
     width, rows = columns.shape
     half_fov = math.atan(column_slope[0]) + 1e-3
     focal = (width - 1) / (column_slope[0] - column_slope[width - 1])
@@ -139,8 +143,7 @@ def render_level_depth(image, columns, camera, x, y, yaw, ceiling, boxes, cylind
                 _fill_column(columns[c], row_slope, entry, leave, z_min, z_max)
     for c in range(width):
         for r in range(rows):
-            t = columns[c, r]
-            image[r, c] = t if (t >= min_range) & (t <= max_range) else np.float32(np.nan)
+            image[r, c] = columns[c, r]
 
 
 @kernel
@@ -164,8 +167,21 @@ def _slopes_of_disc(forward, left, radius):
 
 
 @kernel
-def render_depth(image, camera, x, y, yaw, ceiling, boxes, cylinders):
-    """Fills `image` [height, width] with depths for a camera of any pitch at (x, y), turned to `yaw`; NaN for none."""
+def _meet(image, hits, r, c, t, number):
+    nearer = t < image[r, c]
+    image[r, c] = t if nearer else image[r, c]
+    hits[r, c] = number if nearer else hits[r, c]
+
+
+@kernel
+def render_depth(image, hits, camera, x, y, yaw, ceiling, boxes, cylinders, first_box):
+    """Casts the rays of a camera of any pitch at (x, y), turned to `yaw`; depths are not yet limited to its range.
+
+    Args:
+        image: [height, width] gets the depths; inf where a ray meets nothing within the camera's range.
+        hits: i32 [height, width] gets what each ray meets: the number of a solid, or `geometry.NOTHING` and so on.
+        first_box: number of the first box.
+    """
     column_slope, row_slope = camera.column_slope, camera.row_slope
     height = camera.height
     rows, width = image.shape
@@ -176,12 +192,11 @@ def render_depth(image, camera, x, y, yaw, ceiling, boxes, cylinders):
     for r in range(rows):
         forward[r] = cos_pitch + row_slope[r] * sin_pitch
         rise[r] = row_slope[r] * cos_pitch - sin_pitch
-        flat = MISS
-        if rise[r] < 0.0:
-            flat = np.float32(-height / rise[r])
-        elif rise[r] > 0.0:
-            flat = np.float32((ceiling - height) / rise[r])
-        image[r] = flat
+        down = rise[r] < 0.0
+        flat = np.float32(-height if down else ceiling - height)
+        meets = abs(rise[r]) > np.float32(1e-9) and flat < MISS
+        image[r] = flat / rise[r] if meets else MISS
+        hits[r] = (GROUND if down else CEILING) if meets else NOTHING
     reach = camera.max_range * forward.max()
     cos, sin = math.cos(yaw), math.sin(yaw)
     for i in range(cylinders.shape[0]):
@@ -200,8 +215,7 @@ def render_depth(image, camera, x, y, yaw, ceiling, boxes, cylinders):
             first, last = _row_span(tan_left, tan_right, focal * forward[r], width)
             for c in range(first, last):
                 entry, leave = disc_interval(centre_x, centre_y, radius, forward[r], column_slope[c])
-                t = prism_distance(entry, leave, rise[r], z_min, z_max)
-                image[r, c] = t if t < image[r, c] else image[r, c]
+                _meet(image, hits, r, c, prism_distance(entry, leave, rise[r], z_min, z_max), i)
     for i in range(boxes.shape[0]):
         box = boxes[i]
         rel_x, rel_y = box[BOX_X] - x, box[BOX_Y] - y
@@ -223,9 +237,4 @@ def render_depth(image, camera, x, y, yaw, ceiling, boxes, cylinders):
                 ray_x = turn_cos * forward[r] - turn_sin * column_slope[c]
                 ray_y = turn_sin * forward[r] + turn_cos * column_slope[c]
                 entry, leave = rectangle_interval(local_x, local_y, half_x, half_y, ray_x, ray_y)
-                t = prism_distance(entry, leave, rise[r], z_min, z_max)
-                image[r, c] = t if t < image[r, c] else image[r, c]
-    for r in range(rows):
-        for c in range(width):
-            t = image[r, c]
-            image[r, c] = t if (t >= camera.min_range) & (t <= camera.max_range) else np.float32(np.nan)
+                _meet(image, hits, r, c, prism_distance(entry, leave, rise[r], z_min, z_max), first_box + i)

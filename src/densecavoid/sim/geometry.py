@@ -10,6 +10,10 @@ import math
 
 from densecavoid.sim._jit import kernel
 
+NOTHING, GROUND, CEILING = -1, -2, -3
+"""What a ray meets when it meets no solid. Solids are numbered in a world: cylinders by row, then boxes, then the
+triangles of meshes, with gaps where a world has less than its batch has room for."""
+
 BOX_X, BOX_Y, BOX_COS, BOX_SIN, BOX_HALF_LENGTH, BOX_HALF_WIDTH, BOX_Z_MIN, BOX_Z_MAX = range(8)
 CYL_X, CYL_Y, CYL_RADIUS, CYL_Z_MIN, CYL_Z_MAX = range(5)
 

@@ -22,7 +22,7 @@ from densecavoid.sim.geometry import (
     disc_offset,
     rectangle_offset,
 )
-from densecavoid.sim.lidar import scan
+from densecavoid.sim.lidar import scan, turn_rays
 from densecavoid.sim.people import ABSENT, PARTS, STANDING, place_body, remove_body
 from densecavoid.sim.robot import drive, limit_change
 
@@ -194,23 +194,78 @@ def begin(first, last, state, recordings, replay_reactive, which, robot_height, 
         state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height)
 
 
+@inner
+def _scan_world(state, b, ranges, hits, ray_x, ray_y, lidar):
+    x, y, yaw = state.robot_pose[b]
+    pose = (x + math.cos(yaw) * lidar.ahead, y + math.sin(yaw) * lidar.ahead, yaw)
+    motion = (state.robot_velocity[b, 0], state.robot_velocity[b, 1])
+    boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
+    cylinders = state.cylinders[b, : state.num_cylinders[b]]
+    first_box = state.cylinders.shape[1]
+    ceiling = state.ceiling_m[b]
+    scan(ranges, hits, lidar, ray_x, ray_y, pose, motion, ceiling, boxes, cylinders, state.vel[b], first_box)
+
+
 @kernel
-def sense(first, last, state, which, scans, images, lidar, camera):
-    """Lidar scans [B, rays] and depth images [B, height, width] of the worlds marked in `which`."""
+def sense_level(first, last, state, which, scans, images, lidar, camera):
+    """What exact sensors with a level camera measure in the marked worlds, however far: the fast way.
+
+    Args:
+        scans: [B, rays] gets ranges.
+        images: [B, height, width] gets depths.
+    """
     columns = np.empty((camera.column_slope.shape[0], camera.row_slope.shape[0]), np.float32)
+    hits = np.empty(scans.shape[1], np.int32)
     for b in range(first, last):
         if not which[b]:
             continue
+        _scan_world(state, b, scans[b], hits, lidar.ray_x, lidar.ray_y, lidar)
         x, y, yaw = state.robot_pose[b]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        boxes = state.boxes[b, : state.num_boxes[b]]
+        camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
+        boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
         cylinders = state.cylinders[b, : state.num_cylinders[b]]
-        lidar_x, lidar_y = x + cos * lidar.ahead, y + sin * lidar.ahead
-        scan(scans[b], lidar, lidar_x, lidar_y, yaw, boxes, cylinders)
-        camera_x, camera_y = x + cos * camera.ahead, y + sin * camera.ahead
-        if camera.pitch == 0.0:
-            render_level_depth(
-                images[b], columns, camera, camera_x, camera_y, yaw, state.ceiling_m[b], boxes, cylinders
-            )
-        else:
-            render_depth(images[b], camera, camera_x, camera_y, yaw, state.ceiling_m[b], boxes, cylinders)
+        ceiling = state.ceiling_m[b]
+        render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders)
+
+
+@kernel
+def sense_hits(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera):
+    """The same for any camera and for scanners that sweep, with what each ray meets.
+
+    Args:
+        scan_hits: i32 [B, rays] gets numbers of solids (geometry.py).
+        image_hits: i32 [B, height, width] alike.
+    """
+    ray_x, ray_y = lidar.ray_x.copy(), lidar.ray_y.copy()
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        if lidar.time[0] < 0.0:
+            turn_rays(lidar, state.robot_velocity[b, 1], ray_x, ray_y)
+        _scan_world(state, b, scans[b], scan_hits[b], ray_x, ray_y, lidar)
+        picture(state, b, images[b], image_hits[b], camera)
+
+
+@inner
+def picture(state, b, image, hits, camera):
+    """Depths, however far, of world b as the camera on its robot sees it, and what each pixel shows."""
+    x, y, yaw = state.robot_pose[b]
+    camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
+    boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
+    cylinders = state.cylinders[b, : state.num_cylinders[b]]
+    first_box, ceiling = state.cylinders.shape[1], state.ceiling_m[b]
+    render_depth(image, hits, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders, first_box)
+
+
+@kernel
+def limit_ranges(first, last, which, scans, images, lidar_range, camera_min, camera_max):
+    """Leaves out what is out of range: inf in scans, NaN in images."""
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        for r in range(scans.shape[1]):
+            scans[b, r] = scans[b, r] if scans[b, r] <= lidar_range else np.float32(np.inf)
+        for v in range(images.shape[1]):
+            for u in range(images.shape[2]):
+                t = images[b, v, u]
+                images[b, v, u] = t if (t >= camera_min) & (t <= camera_max) else np.float32(np.nan)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from densecavoid.frames import Command, People, SensorFrame, Truth, require
+from densecavoid.frames import CameraConfig, Command, People, SensorFrame, Truth, require
 from densecavoid.sim import kernels
 from densecavoid.sim._jit import for_worlds
 from densecavoid.sim.clearance import check_can_begin
@@ -13,6 +13,7 @@ from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds.recorded import Recordings, no_recordings
 from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.images import Images, take_images
 from densecavoid.sim.materials import MATERIALS
 from densecavoid.sim.people import ABSENT, PARTS, STANDING
 from densecavoid.sim.sensors import SensorSuite
@@ -111,6 +112,16 @@ class Simulator:
             goal_odom=self.goal,
             truth=Truth(self.robot_pose, self.people()),
         )
+
+    def images(self, camera: CameraConfig | None = None, which: Bool[np.ndarray, "B"] | None = None) -> Images:
+        """Colour, depth, class and person of every pixel, exact; of the marked worlds (all, without `which`).
+
+        Args:
+            camera: where it is on the robot and what it sees; the configured depth camera unless given. Its rate and
+                latency play no part.
+        """
+        which = np.ones(self.num_worlds, np.bool_) if which is None else which
+        return take_images(self._state, camera or self.config.camera, which, self.config.threads)
 
     # -- what happened -------------------------------------------------------------------------------------------------
 
