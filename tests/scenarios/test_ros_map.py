@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ KEYS = {
 }
 
 
-def write_map(folder: Path, pixels: np.ndarray, image: str = "map.png", **keys: object) -> Path:
+def write_map(folder: Path, pixels: np.ndarray, image: str = "map.png", **keys: Any) -> Path:
     values = {**KEYS, "image": image, **keys}
     Image.fromarray(pixels).save(folder / image)
     text = "\n".join(f"{key}: {value}" for key, value in values.items() if value is not None)
@@ -37,7 +38,7 @@ def write_map(folder: Path, pixels: np.ndarray, image: str = "map.png", **keys: 
     return folder / "map.yaml"
 
 
-def cells_of(folder: Path, pixels: object, **keys: object) -> list[int]:
+def cells_of(folder: Path, pixels: list, **keys: Any) -> list[int]:
     """Cell values of a map of one row of pixels."""
     return read_ros_map(write_map(folder, np.array([pixels], np.uint8), **keys)).cells[0].tolist()
 

@@ -138,8 +138,10 @@ def test_clearances_against_a_slow_loop():
     plan = FloorPlan()
     for _ in range(30):
         x, y = rng.uniform(-5, 5, 2)
-        plan.box(x, y, *rng.uniform(0.2, 2.0, 2), rng.uniform(-3, 3), 0.0, rng.uniform(0.1, 2.0))
-        plan.pillar(*rng.uniform(-5, 5, 2), rng.uniform(0.1, 0.5), 0.0, rng.uniform(0.1, 2.0))
+        length, width = rng.uniform(0.2, 2.0, 2)
+        plan.box(x, y, length, width, rng.uniform(-3, 3), 0.0, rng.uniform(0.1, 2.0))
+        x, y = rng.uniform(-5, 5, 2)
+        plan.pillar(x, y, rng.uniform(0.1, 0.5), 0.0, rng.uniform(0.1, 2.0))
     points = rng.uniform(-6, 6, (100, 2))
     packed, found = plan.packed(), np.empty(100)
     clearances(points, packed.boxes, packed.cylinders, 0.5, 2.0, 10.0, found)

@@ -42,7 +42,7 @@ class Doorway(Levelled):
         ends = [(-left + 0.5, 0.5, -1.2, width - 0.5), (1.2, 0.5, right - 0.5, width - 0.5)]
         if rng.random() < 0.5:
             ends.reverse()
-        builder.robot(*ends, (3.5, 20.0))
+        builder.robot(ends[0], ends[1], (3.5, 20.0))
         builder.talkers(int(rng.uniform(0.0, 2.0 * self.level + 0.5)))
         speed = rng.uniform(0.3, 0.5 + 0.5 * self.level)
         builder.walkers(2 + int(rng.uniform(0.5, 1.0) * self.level * 12), (speed, 0.2))

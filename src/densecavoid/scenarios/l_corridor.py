@@ -50,7 +50,7 @@ class LCorridor(Levelled):
         builder = WorldBuilder(rng, self.name, plan, turned(0.0, 0.0, a, b))
         if rng.random() < 0.5:
             ends.reverse()
-        builder.robot(*ends)
+        builder.robot(ends[0], ends[1])
         speed = rng.uniform(0.3, 0.5 + 0.5 * self.level)
         builder.walkers(2 + int(rng.uniform(0.5, 1.0) * self.level * 14), (speed, 0.2))
         return builder.world()

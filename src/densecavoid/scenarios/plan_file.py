@@ -225,8 +225,9 @@ def _furniture(top: _Table, plan: FloorPlan) -> None:
 
 def _low(top: _Table, plan: FloorPlan) -> None:
     for stone in top.tables("kerb"):
-        line = stone.numbers("line", "x0, y0, x1, y1")
-        kerb(plan, *line, stone.number("height", 0.12, low=0.01, high=0.2), stone.length("width", 0.15))
+        x0, y0, x1, y1 = stone.numbers("line", "x0, y0, x1, y1")
+        height, width = stone.number("height", 0.12, low=0.01, high=0.2), stone.length("width", 0.15)
+        kerb(plan, x0, y0, x1, y1, height, width)
         stone.done()
     for slope in top.tables("ramp"):
         x, y = slope.numbers("at", "x, y")

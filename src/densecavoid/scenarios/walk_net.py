@@ -196,18 +196,17 @@ class _Net:
             end = max(at + 1, end - max(1, (end - at) // 6))
         return end
 
-    def _place(
-        self, point: np.ndarray, room: float, before: int | None = None, after: np.ndarray | None = None
-    ) -> int:
+    def _place(self, point: np.ndarray, room: float, before: int | None = None, after: np.ndarray | None = None) -> int:
         """A place at a point of a way: one that is there, if the way may as well lead over it, or a new one."""
         for k, place in enumerate(self._places):
             if math.dist(place, point) < 1e-6:
                 return k
         for k, place in enumerate(self._places):
             joins = math.dist(place, point) < _SAME_PLACE_M and len(self._links[k]) < NET_LINKS - 1
-            if joins and before is not None and after is not None:
-                if self._clear(k, after) and (k == before or self._clear(k, self._places[before])):
-                    return k
+            if not joins or before is None or after is None or not self._clear(k, after):
+                continue
+            if k == before or self._clear(k, self._places[before]):
+                return k
         self._places.append(point)
         self._spread.append(min(max(room - BODY_ROOM_M - 0.1, 0.0), _SPREAD_M))
         self._links.append([])

@@ -26,27 +26,26 @@ def uniform(random, b):
 @inner
 def _next_leg(state, b, i, arrived):
     """Sends person i on along the net, by any link but the one they came by, or back where they came from."""
-    origin, here = state.leg[b, i]
+    origin, here = state.leg[b, i, 0], state.leg[b, i, 1]
+    target = origin
     if arrived:
-        links = state.net_links[b, here]
         count = 0
-        for k in range(links.shape[0]):
-            if links[k] >= 0 and links[k] != origin:
+        for k in range(state.net_links.shape[2]):
+            link = state.net_links[b, here, k]
+            if link >= 0 and link != origin:
                 count += 1
-        chosen, target = int(uniform(state.random, b) * count), origin
-        for k in range(links.shape[0]):
-            if links[k] >= 0 and links[k] != origin:
+        chosen = int(uniform(state.random, b) * count)
+        for k in range(state.net_links.shape[2]):
+            link = state.net_links[b, here, k]
+            if link >= 0 and link != origin:
                 if chosen == 0:
-                    target = links[k]
+                    target = link
                 chosen -= 1
-        origin = here
-    else:
-        origin, target = here, origin
-    state.leg[b, i, 0], state.leg[b, i, 1] = origin, target
-    place = state.net_places[b, target]
-    away, angle = place[2] * math.sqrt(uniform(state.random, b)), 2.0 * math.pi * uniform(state.random, b)
-    state.person_goal[b, i, 0] = place[0] + away * math.cos(angle)
-    state.person_goal[b, i, 1] = place[1] + away * math.sin(angle)
+    state.leg[b, i, 0], state.leg[b, i, 1] = here, target
+    away = state.net_places[b, target, 2] * math.sqrt(uniform(state.random, b))
+    angle = 2.0 * math.pi * uniform(state.random, b)
+    state.person_goal[b, i, 0] = state.net_places[b, target, 0] + away * math.cos(angle)
+    state.person_goal[b, i, 1] = state.net_places[b, target, 1] + away * math.sin(angle)
 
 
 @inner
