@@ -22,6 +22,11 @@ PARTS = 7
 ABSENT, STANDING, WANDERING, TRAVERSING, RECORDED = range(5)
 """What a person does: is not there; stands; walks to random places; walks to one and leaves; follows a recording."""
 
+STEP_OVER_M = 0.2
+"""What is no higher (kerbs, ramps, steps) people walk over."""
+WALK_UNDER_M = 2.0
+"""What begins above this (lamps, crowns of trees) they walk under."""
+
 # Heights as shares of the body's (Drillis and Contini, Body Segment Parameters, 1966; Winter, Biomechanics and Motor
 # Control of Human Movement, fig. 4.1): crotch .47, shoulder .82; of a hanging arm, wrist .49 and finger tips .38.
 _CROTCH_HEIGHT = 0.47

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from densecavoid.frames import CameraConfig, Command, People, SensorFrame, Truth, require
 from densecavoid.sim import kernels
 from densecavoid.sim._jit import for_worlds
+from densecavoid.sim.clearance import check_can_begin
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds.recorded import Recordings, no_recordings
 from densecavoid.sim.crowds.recording import Recording
@@ -47,14 +48,18 @@ class Simulator:
     # -- the episode ---------------------------------------------------------------------------------------------------
 
     def reset(self, seeds: Int[np.ndarray, "B"], which: Bool[np.ndarray, "B"] | None = None) -> None:
-        """Draws a new world for each marked one (all, without `which`) from (scenario, its seed)."""
+        """Draws a new world for each marked one (all, without `which`) from (scenario, its seed).
+
+        Raises:
+            ValueError: naming the scenario, if a world of it has no room, or somebody would start inside a thing.
+        """
         require(
             len(seeds) == self.num_worlds, "seeds", f"{len(seeds)} long", f"one for each of {self.num_worlds} worlds"
         )
         which = np.ones(self.num_worlds, np.bool_) if which is None else which
         for b in np.flatnonzero(which):
             rng = np.random.default_rng(int(seeds[b]))
-            self._fill(int(b), self.scenario.spawn(rng), rng)
+            self._fill(int(b), self._spawn(rng), rng)
         self._sensors.reset(seeds, which)
         self._run(
             kernels.begin,
@@ -278,8 +283,16 @@ class Simulator:
     def _run(self, function, *args: object) -> None:
         for_worlds(function, self.num_worlds, self.config.threads, self._state, *args)
 
+    def _spawn(self, rng: np.random.Generator) -> WorldSpec:
+        try:
+            return self.scenario.spawn(rng)
+        except ValueError as error:
+            name = self.scenario.name
+            raise error if str(error).startswith(name) else ValueError(f"{name}: {error}") from error
+
     def _fill(self, b: int, spec: WorldSpec, rng: np.random.Generator) -> None:
         plan, crowd = spec.floor_plan.packed(), spec.crowd
+        check_can_begin(spec, plan, self.config.robot.height_m)
         boxes, cylinders = plan.boxes, plan.cylinders
         self._state = with_room(self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints))
         state = self._state
@@ -332,6 +345,12 @@ class Simulator:
         state.notices_robot[b] = self.config.people == "reactive"
         state.wander_area[b] = crowd.wander_area
         state.change_rate[b] = crowd.changes_of_mind_per_s
+        state.leg[b] = -1
+        if crowd.net is not None and crowd.leg is not None:
+            state.net_links[b] = -1
+            state.net_places[b, : len(crowd.net.places)] = crowd.net.places
+            state.net_links[b, : len(crowd.net.places), : crowd.net.links.shape[1]] = crowd.net.links
+            state.leg[b, there] = crowd.leg
         state.random[b] = rng.integers(2**63, dtype=np.uint64)
 
         state.trigger_distance[b] = spec.appearance.trigger_distance_m if spec.appearance else np.inf

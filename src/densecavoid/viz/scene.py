@@ -22,7 +22,9 @@ WHOLE_ROOM_M = 12.5
 """A plan no longer than this is shown whole; of a longer one, what lies around the start and the goal."""
 AROUND_M = 2.5
 WALL_HEIGHT_M = 1.8
-"""What is higher is drawn as a wall, what is lower as furniture."""
+"""What is higher is drawn as a wall, what is lower as furniture, what begins above it not at all."""
+LOW_M = 0.2
+"""Kerbs and ramps, which the lidar looks over."""
 
 
 @dataclass(frozen=True)
@@ -227,23 +229,36 @@ def _rgba(colour: theme.Colour, opacity: float) -> tuple[int, int, int, int]:
 
 
 def _outlines(plan: FloorPlan) -> list[tuple[Float[np.ndarray, "n 2"], theme.Colour, theme.Colour]]:
-    """Outline, fill and edge of everything in a plan, in the order to draw it."""
+    """Outline, fill and edge of everything in a plan, in the order to draw it; of what is overhead, crowns alone."""
     shapes = []
-    for x, y, yaw, half_length, half_width, z_min, z_max in plan.boxes.tolist():
+    for (x, y, yaw, half_length, half_width, z_min, z_max), material in zip(
+        plan.boxes.tolist(), plan.box_materials, strict=True
+    ):
         corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (half_length, half_width)
         cos, sin = math.cos(yaw), math.sin(yaw)
-        shapes.append((corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y), z_min, z_max))
-    for x, y, radius, z_min, z_max in plan.cylinders.tolist():
+        shapes.append((corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y), z_min, z_max, material))
+    for (x, y, radius, z_min, z_max), material in zip(plan.cylinders.tolist(), plan.cylinder_materials, strict=True):
         angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-        shapes.append((np.stack([np.cos(angles), np.sin(angles)], axis=-1) * radius + (x, y), z_min, z_max))
+        shapes.append((np.stack([np.cos(angles), np.sin(angles)], axis=-1) * radius + (x, y), z_min, z_max, material))
 
     drawn = []
-    for outline, z_min, z_max in shapes:
-        if z_max > WALL_HEIGHT_M:
-            drawn.append((2, outline, theme.WALL, theme.WALL))
+    for outline, z_min, z_max, material in shapes:
+        if z_min >= WALL_HEIGHT_M and material != "plant":
+            continue
+        if z_min >= WALL_HEIGHT_M:
+            drawn.append((-1, outline, theme.CROWN, theme.PLANT))
+            continue
+        if material == "glass":
+            drawn.append((3, outline, theme.VIEW, theme.VIEW))
+        elif material == "plant":
+            drawn.append((1, outline, theme.PLANT, theme.PLANT_EDGE))
+        elif z_max > WALL_HEIGHT_M:
+            drawn.append((3, outline, theme.WALL, theme.WALL))
+        elif z_max <= LOW_M:
+            drawn.append((0, outline, theme.LOW, theme.LOW_EDGE))
         elif z_min > 0.1:
-            drawn.append((0, outline, theme.TABLE_TOP, theme.TABLE_EDGE))
+            drawn.append((1, outline, theme.TABLE_TOP, theme.TABLE_EDGE))
         else:
-            drawn.append((1, outline, theme.FURNITURE, theme.FURNITURE_EDGE))
+            drawn.append((2, outline, theme.FURNITURE, theme.FURNITURE_EDGE))
     drawn.sort(key=lambda entry: entry[0])
     return [(outline, fill, edge) for _, outline, fill, edge in drawn]
