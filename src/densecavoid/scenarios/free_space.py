@@ -18,6 +18,8 @@ from densecavoid.sim.geometry import (
     disc_offset,
     rectangle_offset,
 )
+from densecavoid.sim.mesh import mesh_set, place_rows
+from densecavoid.sim.mesh_contact import PERSON_TOP_M, lessen_clearances
 
 Area = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max."""
@@ -47,7 +49,12 @@ def clearances_m(plan: FloorPlan, points: Float[np.ndarray, "N 2"], limit_m: flo
     """Distance from each point to the nearest thing in the plan (negative inside); at most `limit_m`."""
     packed = plan.packed()
     out = np.empty(len(points))
-    _clearances(np.asarray(points, np.float64), packed.boxes, packed.cylinders, limit_m, out)
+    points = np.asarray(points, np.float64)
+    _clearances(points, packed.boxes, packed.cylinders, limit_m, out)
+    if plan.meshes:
+        meshes = tuple(dict.fromkeys(place.mesh for place in plan.meshes))
+        places = place_rows(plan.meshes, [meshes.index(place.mesh) for place in plan.meshes])
+        lessen_clearances(points, PERSON_TOP_M, places, mesh_set(meshes), out)
     return out
 
 

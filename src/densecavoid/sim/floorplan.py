@@ -11,6 +11,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from densecavoid.frames import require
 from densecavoid.sim.materials import GLASS, MATERIALS, material_number
+from densecavoid.sim.mesh import Mesh, MeshPlace
 
 WALL_HEIGHT_M = 2.5
 WALL_THICKNESS_M = 0.1
@@ -39,6 +40,7 @@ class FloorPlan:
     _cylinders: list[tuple[float, ...]] = field(default_factory=list)
     _box_material: list[int] = field(default_factory=list)
     _cylinder_material: list[int] = field(default_factory=list)
+    _meshes: list[MeshPlace] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         require(self.ceiling_m > 0, "FloorPlan.ceiling_m", self.ceiling_m, "positive, inf outdoors")
@@ -62,6 +64,11 @@ class FloorPlan:
     def cylinder_materials(self) -> list[str]:
         """Name of each cylinder's material."""
         return [MATERIALS[number].name for number in self._cylinder_material]
+
+    @property
+    def meshes(self) -> list[MeshPlace]:
+        """Triangle meshes and where they stand."""
+        return list(self._meshes)
 
     def packed(self) -> PackedPlan:
         """Everything, for the kernels."""
@@ -123,6 +130,16 @@ class FloorPlan:
         require(not MATERIALS[number].see_through, "pillar material", material, "none that sensors look through")
         self._cylinder_material.append(number)
         self._cylinders.append(values)
+
+    def mesh(self, mesh: Mesh, x: float, y: float, yaw: float = 0.0, z: float = 0.0) -> None:
+        """A triangle mesh with its origin at (x, y, z), turned by `yaw`.
+
+        Raises:
+            ValueError: if a value is not finite.
+        """
+        values = (x, y, z, yaw)
+        require(all(map(math.isfinite, values)), "mesh (x, y, z, yaw)", values, "finite")
+        self._meshes.append(MeshPlace(mesh, *values))
 
     def wall(
         self,

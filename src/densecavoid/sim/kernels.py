@@ -23,6 +23,8 @@ from densecavoid.sim.geometry import (
     rectangle_offset,
 )
 from densecavoid.sim.lidar import scan
+from densecavoid.sim.mesh_contact import keep_out_of_meshes, nearest_mesh, push_from_meshes
+from densecavoid.sim.mesh_rays import mesh_depth, mesh_scan
 from densecavoid.sim.people import ABSENT, PARTS, STANDING, place_body, remove_body
 from densecavoid.sim.robot import drive, limit_change
 
@@ -51,8 +53,10 @@ def place_bodies(state, b):
 
 
 @kernel
-def nearest_surfaces(state, b, x, y, top):
+def nearest_surfaces(state, b, x, y, top, meshes):
     """Distances from a point to the nearest surface that begins below `top`, and to the nearest person's.
+
+    `meshes` is a `MeshSet`, or None where no world has one: numba then leaves out all that is for meshes.
 
     Returns:
         (distance to anything, distance to a person, that person's slot or -1); inf where there is none.
@@ -74,6 +78,9 @@ def nearest_surfaces(state, b, x, y, top):
             continue
         distance, _, _ = rectangle_offset(x, y, box)
         nearest = min(nearest, distance)
+    if meshes is not None:
+        places = state.meshes[b, : state.num_meshes[b]]
+        nearest, _, _ = nearest_mesh(x, y, top, nearest, places, meshes)
     return nearest, nearest_person, slot
 
 
@@ -99,7 +106,7 @@ def _appear(state, b, time_s):
 
 
 @inner
-def _move_crowd(state, b, recordings, sub_step, replay_reactive, robot_radius, dt):
+def _move_crowd(state, b, recordings, meshes, sub_step, replay_reactive, robot_radius, dt):
     intended = np.zeros((state.pos.shape[1], 2))
     if state.recording[b] >= 0:
         follow_recording(state, b, recordings, sub_step, replay_reactive[b], intended, dt)
@@ -107,7 +114,11 @@ def _move_crowd(state, b, recordings, sub_step, replay_reactive, robot_radius, d
             return
     else:
         intend_scripted(state, b, intended, dt)
+    if meshes is not None:
+        push_from_meshes(state, b, meshes, intended)
     move_people(state, b, intended, robot_radius, dt)
+    if meshes is not None:
+        keep_out_of_meshes(state, b, meshes)
 
 
 @inner
@@ -129,6 +140,7 @@ def advance(
     last,
     state,
     recordings,
+    meshes,
     replay_reactive,
     command,
     dynamic,
@@ -152,7 +164,7 @@ def advance(
         nearest_person, slot = np.inf, -1
         for s in range(sub_steps):
             tick = state.step_count[b] * sub_steps + s + 1
-            _move_crowd(state, b, recordings, tick, replay_reactive, robot_radius, dt)
+            _move_crowd(state, b, recordings, meshes, tick, replay_reactive, robot_radius, dt)
             if dynamic:
                 velocity[0] = limit_change(velocity[0], linear, max_linear_acc * dt)
                 velocity[1] = limit_change(velocity[1], angular, max_angular_acc * dt)
@@ -162,7 +174,7 @@ def advance(
             if state.trigger_distance[b] < np.inf and np.isnan(state.spawn_time[b]):
                 _appear(state, b, tick * dt)
             place_bodies(state, b)
-            nearest, nearest_person, slot = nearest_surfaces(state, b, pose[0], pose[1], robot_height)
+            nearest, nearest_person, slot = nearest_surfaces(state, b, pose[0], pose[1], robot_height, meshes)
             state.clearance_m[b] = min(state.clearance_m[b], nearest)
             state.clearance_people_m[b] = min(state.clearance_people_m[b], nearest_person)
             if nearest < state.collision_distance_m[b]:
@@ -181,7 +193,7 @@ def advance(
 
 
 @kernel
-def begin(first, last, state, recordings, replay_reactive, which, robot_height, dt):
+def begin(first, last, state, recordings, meshes, replay_reactive, which, robot_height, dt):
     """Brings worlds that were just filled to their first instant: recorded people in place, bodies, clearances."""
     for b in range(first, last):
         if not which[b]:
@@ -191,7 +203,7 @@ def begin(first, last, state, recordings, replay_reactive, which, robot_height, 
             follow_recording(state, b, recordings, 0, replay_reactive[b], intended, dt)
         place_bodies(state, b)
         x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
-        state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height)
+        state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height, meshes)
 
 
 @kernel
@@ -214,3 +226,36 @@ def sense(first, last, state, which, scans, images, lidar, camera):
             )
         else:
             render_depth(images[b], camera, camera_x, camera_y, yaw, state.ceiling_m[b], boxes, cylinders)
+
+
+@kernel
+def sense_meshes(first, last, state, which, scans, images, lidar, camera, meshes):
+    """Adds meshes to scans and images of `sense` that have an upper limit but no lower one, and applies the lower one."""
+    no_hits, no_pixels, no_starts = np.empty(0, np.int32), np.empty((0, 0), np.int32), np.empty(0, np.float32)
+    level = np.zeros(lidar.ray_x.shape[0], np.float32)
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        x, y, yaw = state.robot_pose[b]
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        places = state.meshes[b, : state.num_meshes[b]]
+        ranges, image = scans[b], images[b]
+        if places.shape[0] > 0:
+            for row in image:
+                for c in range(row.shape[0]):
+                    row[c] = np.float32(np.inf) if np.isnan(row[c]) else row[c]
+            lidar_x, lidar_y = x + cos * lidar.ahead, y + sin * lidar.ahead
+            mesh_scan(
+                ranges, no_hits, 0, lidar_x, lidar_y, lidar.height, yaw, lidar.ray_x, lidar.ray_y, level,
+                no_starts, no_starts, float(lidar.max_range), places, meshes,
+            )  # fmt: skip
+            camera_x, camera_y = x + cos * camera.ahead, y + sin * camera.ahead
+            mesh_depth(
+                image, no_pixels, 0, camera_x, camera_y, camera.height, yaw, camera.column_slope, camera.row_slope,
+                camera.pitch, float(camera.max_range), places, meshes,
+            )  # fmt: skip
+            for r in range(ranges.shape[0]):
+                ranges[r] = ranges[r] if ranges[r] <= lidar.max_range else np.float32(np.inf)
+        for row in image:
+            for c in range(row.shape[0]):
+                row[c] = row[c] if (row[c] >= camera.min_range) & (row[c] <= camera.max_range) else np.float32(np.nan)

@@ -13,6 +13,7 @@ from densecavoid.sim._jit import for_worlds
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.depth import camera_optics
 from densecavoid.sim.lidar import lidar_optics
+from densecavoid.sim.mesh import MeshSet
 from densecavoid.sim.state import WorldState
 
 
@@ -98,7 +99,7 @@ class SensorSuite:
         self._last_pose[which] = np.nan
 
     def sense(
-        self, state: WorldState, which: Bool[np.ndarray, "B"] | None = None
+        self, state: WorldState, which: Bool[np.ndarray, "B"] | None = None, meshes: MeshSet | None = None
     ) -> tuple[Float32[np.ndarray, "B rays"], Float32[np.ndarray, "B height width"], Float[np.ndarray, "B 3"]]:
         """Scans, depth images and odometry of the marked worlds (all, without `which`); the others keep their last.
 
@@ -108,7 +109,13 @@ class SensorSuite:
         which = np.ones(num_worlds, np.bool_) if which is None else which
         scan, depth = self._lines["scan"], self._lines["depth"]
         frames = (scan.frame, depth.frame)
-        for_worlds(kernels.sense, num_worlds, threads, state, which, *frames, self._lidar, self._camera)
+        optics = self._lidar, self._camera
+        if meshes is None:
+            for_worlds(kernels.sense, num_worlds, threads, state, which, *frames, *optics)
+        else:  # the lower limit waits for what meshes there are below it
+            unlimited = self._lidar, self._camera._replace(min_range=np.float32(0.0))
+            for_worlds(kernels.sense, num_worlds, threads, state, which, *frames, *unlimited)
+            for_worlds(kernels.sense_meshes, num_worlds, threads, state, which, *frames, *optics, meshes)
         odometry = state.robot_pose
         if self.real:
             odometry = self._odometry

@@ -1,0 +1,198 @@
+"""Meshes in plan view: how far a place is from what a body would hit, for the robot, for people and for free space.
+
+A body that reaches up to `top` hits the triangles' parts between the ground's roughness and `top`, seen from above: the
+same triangles that the rays meet. Inside of a solid, or below or above a surface at those heights, the distance is 0.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim.mesh import PLACE_COS, PLACE_NUMBER, PLACE_SIN, PLACE_X, PLACE_Y, PLACE_Z
+from densecavoid.sim.people import ABSENT, STANDING
+
+GROUND_M = 0.02
+"""What is lower is ground that one rolls or walks over: a scanned room's floor is no obstacle."""
+PERSON_TOP_M = 1.9
+"""People keep clear of what is lower."""
+_FORCE = 3.0  # m/s2 on a person at the surface, falling with distance as that of walls (crowds)
+_FORCE_RANGE_M = 0.15
+_FORCE_REACH_M = 0.6
+_RELAXATION_S = 0.5  # in which people take on the velocity they intend
+_DIRECTIONS = 16
+_FARTHEST_WAY_OUT_M = 3.2
+
+
+@kernel
+def _nearer_on_segment(best, x, y, ax, ay, bx, by):
+    """`best` (squared distance, offset x, y) or what a segment offers instead."""
+    along_x, along_y = bx - ax, by - ay
+    length_2 = along_x * along_x + along_y * along_y
+    s = ((x - ax) * along_x + (y - ay) * along_y) / length_2 if length_2 > 0.0 else 0.0
+    s = min(max(s, 0.0), 1.0)
+    off_x, off_y = x - ax - s * along_x, y - ay - s * along_y
+    distance_2 = off_x * off_x + off_y * off_y
+    return (distance_2, off_x, off_y) if distance_2 < best[0] else best
+
+
+@kernel
+def _nearer_on_triangle(best, x, y, corners, low, high):
+    """The same for the part of a triangle [3, 3] between two heights, its inner area left out; also its height there.
+
+    Returns:
+        (best, height of the triangle over the point or NaN, 1 if it looks up and -1 if down)
+    """
+    low_x, low_y, high_x, high_y = np.nan, np.nan, np.nan, np.nan
+    crossings = 0
+    for v in range(3):
+        ax, ay, az = float(corners[v, 0]), float(corners[v, 1]), float(corners[v, 2])
+        w = (v + 1) % 3
+        bx, by, bz = float(corners[w, 0]), float(corners[w, 1]), float(corners[w, 2])
+        # Whether the half-line from the point along x crosses the edge: the same answer for both triangles at an edge.
+        if (ay > y) != (by > y):
+            swap = ay > by
+            x0, y0, x1, y1 = (bx, by, ax, ay) if swap else (ax, ay, bx, by)
+            if x < x0 + (y - y0) * (x1 - x0) / (y1 - y0):
+                crossings += 1
+        enter, leave = 0.0, 1.0
+        if az != bz:
+            at_low, at_high = (low - az) / (bz - az), (high - az) / (bz - az)
+            enter, leave = max(0.0, min(at_low, at_high)), min(1.0, max(at_low, at_high))
+            # The cuts at the two heights are edges of the part, too.
+            if 0.0 <= at_low <= 1.0:
+                cut_x, cut_y = ax + at_low * (bx - ax), ay + at_low * (by - ay)
+                if math.isnan(low_x):
+                    low_x, low_y = cut_x, cut_y
+                best = _nearer_on_segment(best, x, y, low_x, low_y, cut_x, cut_y)
+            if 0.0 <= at_high <= 1.0:
+                cut_x, cut_y = ax + at_high * (bx - ax), ay + at_high * (by - ay)
+                if math.isnan(high_x):
+                    high_x, high_y = cut_x, cut_y
+                best = _nearer_on_segment(best, x, y, high_x, high_y, cut_x, cut_y)
+        elif az < low or az > high:
+            enter = 2.0
+        if enter <= leave:
+            from_x, from_y = ax + enter * (bx - ax), ay + enter * (by - ay)
+            best = _nearer_on_segment(best, x, y, from_x, from_y, ax + leave * (bx - ax), ay + leave * (by - ay))
+    if crossings != 1:
+        return best, np.nan, 0
+    ax, ay, az = float(corners[0, 0]), float(corners[0, 1]), float(corners[0, 2])
+    px, py, pz = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
+    qx, qy, qz = corners[2, 0] - ax, corners[2, 1] - ay, corners[2, 2] - az
+    normal_x, normal_y, normal_z = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    if normal_z == 0.0:
+        return best, np.nan, 0
+    return best, az - (normal_x * (x - ax) + normal_y * (y - ay)) / normal_z, 1 if normal_z > 0.0 else -1
+
+
+@kernel
+def mesh_offset(x, y, top, limit, place, meshes):
+    """How far a world point is from one placed mesh, for a body that reaches up to `top`, and the way off it.
+
+    Returns:
+        (distance, offset x, offset y), the offset from the mesh's nearest point to the given one. All 0 on or inside of
+        it; (limit, 0, 0) if it is not nearer than `limit`.
+    """
+    k = int(place[PLACE_NUMBER])
+    cos, sin = place[PLACE_COS], place[PLACE_SIN]
+    rel_x, rel_y = x - place[PLACE_X], y - place[PLACE_Y]
+    at_x, at_y = cos * rel_x + sin * rel_y, cos * rel_y - sin * rel_x
+    lowest, highest = GROUND_M - place[PLACE_Z], top - place[PLACE_Z]
+    solid = meshes.solid[k]
+    best = (limit * limit, 0.0, 0.0)
+    within = 0  # solids around the point at the lowest height, by the surfaces above it
+    root, base = meshes.first_node[k], meshes.first_triangle[k]
+    node, end = root, meshes.first_node[k + 1]
+    while node < end:
+        low, high = meshes.node_low[node], meshes.node_high[node]
+        off_x = max(low[0] - at_x, at_x - high[0], 0.0)
+        off_y = max(low[1] - at_y, at_y - high[1], 0.0)
+        distance_2 = off_x * off_x + off_y * off_y
+        above = solid and distance_2 == 0.0 and high[2] > highest
+        if high[2] < lowest or ((low[2] > highest or distance_2 >= best[0]) and not above):
+            node = root + meshes.node_skip[node]
+            continue
+        first = base + meshes.node_first[node]
+        for triangle in range(first, first + meshes.node_count[node]):
+            best, height, facing = _nearer_on_triangle(best, at_x, at_y, meshes.corners[triangle], lowest, highest)
+            if height > highest:
+                within += facing
+            elif height >= lowest:
+                return 0.0, 0.0, 0.0
+        node = root + meshes.node_skip[node] if meshes.node_count[node] > 0 else node + 1
+    if solid and within > 0:
+        return 0.0, 0.0, 0.0
+    return math.sqrt(best[0]), cos * best[1] - sin * best[2], sin * best[1] + cos * best[2]
+
+
+@kernel
+def nearest_mesh(x, y, top, limit, places, meshes):
+    """The same for the nearest of several placed meshes [M, 6]."""
+    offset_x, offset_y = 0.0, 0.0
+    for m in range(places.shape[0]):
+        distance, off_x, off_y = mesh_offset(x, y, top, limit, places[m], meshes)
+        if distance < limit:
+            limit, offset_x, offset_y = distance, off_x, off_y
+    return limit, offset_x, offset_y
+
+
+@kernel
+def lessen_clearances(points, top, places, meshes, clearances):
+    """Lessens each point's clearance to its distance from meshes."""
+    for n in range(points.shape[0]):
+        clearances[n], _, _ = nearest_mesh(points[n, 0], points[n, 1], top, clearances[n], places, meshes)
+
+
+@kernel
+def _way_out(x, y, places, meshes):
+    """From a place inside of a mesh, the step to the nearest of some places around it that are not."""
+    reach = 0.1
+    while reach <= _FARTHEST_WAY_OUT_M:
+        for direction in range(_DIRECTIONS):
+            bearing = direction * 2.0 * math.pi / _DIRECTIONS
+            step_x, step_y = reach * math.cos(bearing), reach * math.sin(bearing)
+            if nearest_mesh(x + step_x, y + step_y, PERSON_TOP_M, 1e-3, places, meshes)[0] > 0.0:
+                return step_x, step_y
+        reach *= 2.0
+    return 0.0, 0.0
+
+
+@inner
+def push_from_meshes(state, b, meshes, intended):
+    """Adds to what people of world b intend [P, 2] the velocity that keeps them off meshes as walls do."""
+    places = state.meshes[b, : state.num_meshes[b]]
+    if places.shape[0] == 0:
+        return
+    for i in range(state.pos.shape[1]):
+        if state.behaviour[b, i] == ABSENT or state.behaviour[b, i] == STANDING:
+            continue
+        limit = state.radius[b, i] + _FORCE_REACH_M
+        distance, off_x, off_y = nearest_mesh(state.pos[b, i, 0], state.pos[b, i, 1], PERSON_TOP_M, limit, places, meshes)
+        if 0.0 < distance < limit:
+            size = _RELAXATION_S * _FORCE * math.exp(-(distance - state.radius[b, i]) / _FORCE_RANGE_M) / distance
+            intended[i, 0] += size * off_x
+            intended[i, 1] += size * off_y
+
+
+@inner
+def keep_out_of_meshes(state, b, meshes):
+    """Moves the people of world b out of meshes, as out of walls."""
+    places = state.meshes[b, : state.num_meshes[b]]
+    if places.shape[0] == 0:
+        return
+    for i in range(state.pos.shape[1]):
+        if state.behaviour[b, i] == ABSENT or state.behaviour[b, i] == STANDING:
+            continue
+        radius = state.radius[b, i]
+        x, y = state.pos[b, i, 0], state.pos[b, i, 1]
+        distance, off_x, off_y = nearest_mesh(x, y, PERSON_TOP_M, radius, places, meshes)
+        if distance == 0.0:
+            off_x, off_y = _way_out(x, y, places, meshes)
+            state.pos[b, i, 0] += off_x
+            state.pos[b, i, 1] += off_y
+        elif distance < radius:
+            state.pos[b, i, 0] += (radius - distance) * off_x / distance
+            state.pos[b, i, 1] += (radius - distance) * off_y / distance
