@@ -230,7 +230,7 @@ def sense(first, last, state, which, scans, images, lidar, camera):
 
 @kernel
 def sense_meshes(first, last, state, which, scans, images, lidar, camera, meshes):
-    """Adds meshes to scans and images of `sense` that have an upper limit but no lower one, and applies the lower one."""
+    """Adds meshes to what `sense` measured with an upper limit but no lower one, and applies the lower one."""
     no_hits, no_pixels, no_starts = np.empty(0, np.int32), np.empty((0, 0), np.int32), np.empty(0, np.float32)
     level = np.zeros(lidar.ray_x.shape[0], np.float32)
     for b in range(first, last):

@@ -32,7 +32,7 @@ class Hierarchy(NamedTuple):
     skip: Int32[np.ndarray, "nodes"]
     first: Int32[np.ndarray, "nodes"]
     """First triangle of a leaf."""
-    count: Int32[np.ndarray, "nodes"]
+    held: Int32[np.ndarray, "nodes"]
     """Triangles of a leaf; 0: not a leaf."""
 
 
@@ -85,7 +85,9 @@ class Mesh:
         finite = np.isfinite(vertices).all(axis=1)
         require(bool(finite.all()), f"{what} vertex", vertices[~finite][:1].tolist(), "finite")
         named = faces.min(), faces.max()
-        require(0 <= named[0] and named[1] < len(vertices), f"{what} vertex numbers", named, f"0 to {len(vertices) - 1}")
+        require(
+            named[0] >= 0 and named[1] < len(vertices), f"{what} vertex numbers", named, f"0 to {len(vertices) - 1}"
+        )
         size = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
         require(size <= MAX_SIZE_M, f"{what} size", f"{size:.4g} m", f"at most {MAX_SIZE_M:.0f} m: is it in metres?")
         # Files without an index (STL) repeat corners; one place is one vertex here.
@@ -117,7 +119,9 @@ class Mesh:
     @staticmethod
     def box(length: float, width: float, height: float, material: str = "wood") -> Mesh:
         """A box on the ground around the origin: twelve triangles."""
-        return _prism([(-length / 2, 0.0), (length / 2, 0.0), (length / 2, height), (-length / 2, height)], width, material)
+        return _prism(
+            [(-length / 2, 0.0), (length / 2, 0.0), (length / 2, height), (-length / 2, height)], width, material
+        )
 
     @staticmethod
     def wedge(length: float, width: float, height: float, material: str = "concrete") -> Mesh:
@@ -206,7 +210,7 @@ def mesh_set(meshes: tuple[Mesh, ...]) -> MeshSet:
         node_high=np.concatenate([mesh.hierarchy.high for mesh in meshes]),
         node_skip=np.concatenate([mesh.hierarchy.skip for mesh in meshes]),
         node_first=np.concatenate([mesh.hierarchy.first for mesh in meshes]),
-        node_count=np.concatenate([mesh.hierarchy.count for mesh in meshes]),
+        node_count=np.concatenate([mesh.hierarchy.held for mesh in meshes]),
         corners=np.concatenate([mesh.triangles for mesh in meshes]),
     )
 
@@ -247,7 +251,7 @@ def _edges_amiss(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> tuple[in
 
 
 def _build_hierarchy(corners: Float32[np.ndarray, "F 3 3"]) -> tuple[Int[np.ndarray, "F"], Hierarchy]:
-    """Halves the triangles along the longest side of their centres' box until few are left, all boxes of a level at once.
+    """Halves the triangles along the longest side of their centres' box until few are left; a level at a time.
 
     Returns:
         The triangles' new order, and the boxes.
@@ -282,7 +286,7 @@ def _build_hierarchy(corners: Float32[np.ndarray, "F 3 3"]) -> tuple[Int[np.ndar
         nodes.high[index] = np.maximum.reduceat(high[here], first)
         nodes.skip[index] = index + np.array([num_nodes(int(n)) for n in length])
         leaf = length <= _LEAF_TRIANGLES
-        nodes.first[index[leaf]], nodes.count[index[leaf]] = start[leaf], length[leaf]
+        nodes.first[index[leaf]], nodes.held[index[leaf]] = start[leaf], length[leaf]
         extent = np.maximum.reduceat(centre[here], first) - np.minimum.reduceat(centre[here], first)
         along = centre[here, extent.argmax(axis=1)[box]]
         order[position] = here[np.lexsort((along, box))]

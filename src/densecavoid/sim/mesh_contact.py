@@ -170,7 +170,9 @@ def push_from_meshes(state, b, meshes, intended):
         if state.behaviour[b, i] == ABSENT or state.behaviour[b, i] == STANDING:
             continue
         limit = state.radius[b, i] + _FORCE_REACH_M
-        distance, off_x, off_y = nearest_mesh(state.pos[b, i, 0], state.pos[b, i, 1], PERSON_TOP_M, limit, places, meshes)
+        distance, off_x, off_y = nearest_mesh(
+            state.pos[b, i, 0], state.pos[b, i, 1], PERSON_TOP_M, limit, places, meshes
+        )
         if 0.0 < distance < limit:
             size = _RELAXATION_S * _FORCE * math.exp(-(distance - state.radius[b, i]) / _FORCE_RANGE_M) / distance
             intended[i, 0] += size * off_x

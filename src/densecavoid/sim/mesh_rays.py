@@ -1,9 +1,9 @@
 """Rays against triangle meshes: for a lidar and for a depth camera, all rays of the sensor at once.
 
-The bounding hierarchy is walked once for each sensor, not for each ray: what the whole sensor cannot meet is left out, and
-each triangle that remains is met with the few rays that pass by it. A ray d from the origin passes inside a triangle
-a, b, c if d.(a x b), d.(b x c) and d.(c x a) have one sign; it ends at t = n.a / n.d with n = (b - a) x (c - a). Distances
-are raw: the sensors' limits are applied elsewhere.
+The bounding hierarchy is walked once for each sensor, not for each ray: what the whole sensor cannot meet is left out,
+and each triangle that remains is met with the few rays that pass by it. A ray d from the origin passes inside a
+triangle a, b, c if d.(a x b), d.(b x c) and d.(c x a) have one sign; it ends at t = n.a / n.d with
+n = (b - a) x (c - a). Distances are raw: the sensors' limits are applied elsewhere.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def _dot(a, b):
 
 @kernel
 def _edges(corner, edge, passing, normal):
-    """From a triangle's corners [3, 3]: its edges, the planes through origin and edge (rows of `passing`), its normal."""
+    """A triangle's edges, the planes through origin and edge (rows of `passing`) and its normal; returns n.a."""
     for k in range(3):
         following = corner[(k + 1) % 3]
         for axis in range(3):
@@ -75,8 +75,8 @@ def mesh_scan(
             `triangle_of_hit`); of length 0 if nobody wants to know.
         x, y, z, yaw: the scanner in the world.
         dir_x, dir_y, dir_z: f32 [rays] unit directions turned by `yaw`, in order of their bearing, counter-clockwise.
-        start_x, start_y: f32 [rays] where each ray starts, from (x, y) and turned by `yaw` too, for a scanner in motion;
-            of length 0 if all start there.
+        start_x, start_y: f32 [rays] where each ray starts, from (x, y) and turned by `yaw` too, for a scanner in
+            motion; of length 0 if all start there.
         places: f64 [M, 6] (mesh.PLACE_...), meshes: the `MeshSet` they are numbered in.
     """
     num_rays = ranges.shape[0]
@@ -173,7 +173,12 @@ def mesh_scan(
                 e0x, e0y, e0z = np.float32(edge[0, 0]), np.float32(edge[0, 1]), np.float32(edge[0, 2])
                 e1x, e1y, e1z = np.float32(edge[1, 0]), np.float32(edge[1, 1]), np.float32(edge[1, 2])
                 e2x, e2y, e2z = np.float32(edge[2, 0]), np.float32(edge[2, 1]), np.float32(edge[2, 2])
-                nx, ny, nz, depth_32 = np.float32(normal[0]), np.float32(normal[1]), np.float32(normal[2]), np.float32(depth)
+                nx, ny, nz, depth_32 = (
+                    np.float32(normal[0]),
+                    np.float32(normal[1]),
+                    np.float32(normal[2]),
+                    np.float32(depth),
+                )
                 which = np.int32(number + triangle - base)
                 for turn in range(-1, 2):
                     low_end, high_end = start + right + 4.0 * turn, start + left + 4.0 * turn
@@ -198,9 +203,7 @@ def mesh_scan(
 
 
 @kernel
-def mesh_depth(
-    image, hits, first_hit_number, x, y, z, yaw, column_slope, row_slope, pitch, max_range, places, meshes
-):
+def mesh_depth(image, hits, first_hit_number, x, y, z, yaw, column_slope, row_slope, pitch, max_range, places, meshes):
     """Lessens the depths of `image` [height, width] where a mesh is nearer.
 
     Args:

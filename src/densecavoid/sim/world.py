@@ -255,8 +255,8 @@ class Simulator:
         """Goes on from a `state_dict` of a simulator with as many worlds.
 
         Raises:
-            ValueError: if the number of worlds differs, or a world replays a recording or shows a mesh that this simulator
-                has not met.
+            ValueError: if the number of worlds differs, or a world replays a recording or shows a mesh that this
+                simulator has not met.
         """
         require(len(arrays["goal"]) == self.num_worlds, "saved worlds", len(arrays["goal"]), str(self.num_worlds))
         latest = int(arrays["recording"].max())
@@ -278,7 +278,9 @@ class Simulator:
     def _fill(self, b: int, spec: WorldSpec, rng: np.random.Generator) -> None:
         plan, crowd = spec.floor_plan.packed(), spec.crowd
         boxes, cylinders, places = plan.boxes, plan.cylinders, spec.floor_plan.meshes
-        self._state = with_room(self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints), len(places))
+        self._state = with_room(
+            self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints), len(places)
+        )
         state = self._state
         slots = capacity(state)[0]
         self.scenario_name[b] = spec.scenario
