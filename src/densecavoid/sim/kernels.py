@@ -23,7 +23,7 @@ from densecavoid.sim.geometry import (
     rectangle_offset,
 )
 from densecavoid.sim.lidar import scan
-from densecavoid.sim.mesh_contact import keep_out_of_meshes, nearest_mesh, push_from_meshes
+from densecavoid.sim.mesh_contact import FORCE_REACH_M, nearest_mesh, part_people_from_meshes
 from densecavoid.sim.mesh_rays import mesh_depth, mesh_scan
 from densecavoid.sim.people import ABSENT, PARTS, STANDING, place_body, remove_body
 from densecavoid.sim.robot import drive, limit_change
@@ -115,10 +115,10 @@ def _move_crowd(state, b, recordings, meshes, sub_step, replay_reactive, robot_r
     else:
         intend_scripted(state, b, intended, dt)
     if meshes is not None:
-        push_from_meshes(state, b, meshes, intended)
+        part_people_from_meshes(state, b, meshes, intended, FORCE_REACH_M)
     move_people(state, b, intended, robot_radius, dt)
     if meshes is not None:
-        keep_out_of_meshes(state, b, meshes)
+        part_people_from_meshes(state, b, meshes, intended, 0.0)
 
 
 @inner
@@ -229,16 +229,16 @@ def sense(first, last, state, which, scans, images, lidar, camera):
 
 
 @kernel
-def sense_meshes(first, last, state, which, scans, images, lidar, camera, meshes):
+def sense_meshes(first, last, pose, all_places, num_places, which, scans, images, lidar, camera, meshes):
     """Adds meshes to what `sense` measured with an upper limit but no lower one, and applies the lower one."""
     no_hits, no_pixels, no_starts = np.empty(0, np.int32), np.empty((0, 0), np.int32), np.empty(0, np.float32)
     level = np.zeros(lidar.ray_x.shape[0], np.float32)
     for b in range(first, last):
         if not which[b]:
             continue
-        x, y, yaw = state.robot_pose[b]
+        x, y, yaw = pose[b]
         cos, sin = math.cos(yaw), math.sin(yaw)
-        places = state.meshes[b, : state.num_meshes[b]]
+        places = all_places[b, : num_places[b]]
         ranges, image = scans[b], images[b]
         if places.shape[0] > 0:
             for row in image:

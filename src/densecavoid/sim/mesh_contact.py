@@ -20,13 +20,13 @@ PERSON_TOP_M = 1.9
 """People keep clear of what is lower."""
 _FORCE = 3.0  # m/s2 on a person at the surface, falling with distance as that of walls (crowds)
 _FORCE_RANGE_M = 0.15
-_FORCE_REACH_M = 0.6
+FORCE_REACH_M = 0.6
 _RELAXATION_S = 0.5  # in which people take on the velocity they intend
 _DIRECTIONS = 16
-_FARTHEST_WAY_OUT_M = 3.2
+_RINGS = 6  # the nearest of .1 m, each twice as wide as the one before
 
 
-@kernel
+@inner
 def _nearer_on_segment(best, x, y, ax, ay, bx, by):
     """`best` (squared distance, offset x, y) or what a segment offers instead."""
     along_x, along_y = bx - ax, by - ay
@@ -38,7 +38,7 @@ def _nearer_on_segment(best, x, y, ax, ay, bx, by):
     return (distance_2, off_x, off_y) if distance_2 < best[0] else best
 
 
-@kernel
+@inner
 def _nearer_on_triangle(best, x, y, corners, low, high):
     """The same for the part of a triangle [3, 3] between two heights, its inner area left out; also its height there.
 
@@ -88,54 +88,49 @@ def _nearer_on_triangle(best, x, y, corners, low, high):
     return best, az - (normal_x * (x - ax) + normal_y * (y - ay)) / normal_z, 1 if normal_z > 0.0 else -1
 
 
-@kernel
-def mesh_offset(x, y, top, limit, place, meshes):
-    """How far a world point is from one placed mesh, for a body that reaches up to `top`, and the way off it.
+@inner
+def nearest_mesh(x, y, top, limit, places, meshes):
+    """How far a world point is from placed meshes [M, 6], for a body that reaches up to `top`, and the way off them.
 
     Returns:
-        (distance, offset x, offset y), the offset from the mesh's nearest point to the given one. All 0 on or inside of
-        it; (limit, 0, 0) if it is not nearer than `limit`.
+        (distance, offset x, offset y), the offset from the nearest point of a mesh to the given one. All 0 on or inside
+        of one; (limit, 0, 0) if none is nearer than `limit`.
     """
-    k = int(place[PLACE_NUMBER])
-    cos, sin = place[PLACE_COS], place[PLACE_SIN]
-    rel_x, rel_y = x - place[PLACE_X], y - place[PLACE_Y]
-    at_x, at_y = cos * rel_x + sin * rel_y, cos * rel_y - sin * rel_x
-    lowest, highest = GROUND_M - place[PLACE_Z], top - place[PLACE_Z]
-    solid = meshes.solid[k]
-    best = (limit * limit, 0.0, 0.0)
-    within = 0  # solids around the point at the lowest height, by the surfaces above it
-    root, base = meshes.first_node[k], meshes.first_triangle[k]
-    node, end = root, meshes.first_node[k + 1]
-    while node < end:
-        low, high = meshes.node_low[node], meshes.node_high[node]
-        off_x = max(low[0] - at_x, at_x - high[0], 0.0)
-        off_y = max(low[1] - at_y, at_y - high[1], 0.0)
-        distance_2 = off_x * off_x + off_y * off_y
-        above = solid and distance_2 == 0.0 and high[2] > highest
-        if high[2] < lowest or ((low[2] > highest or distance_2 >= best[0]) and not above):
-            node = root + meshes.node_skip[node]
-            continue
-        first = base + meshes.node_first[node]
-        for triangle in range(first, first + meshes.node_count[node]):
-            best, height, facing = _nearer_on_triangle(best, at_x, at_y, meshes.corners[triangle], lowest, highest)
-            if height > highest:
-                within += facing
-            elif height >= lowest:
-                return 0.0, 0.0, 0.0
-        node = root + meshes.node_skip[node] if meshes.node_count[node] > 0 else node + 1
-    if solid and within > 0:
-        return 0.0, 0.0, 0.0
-    return math.sqrt(best[0]), cos * best[1] - sin * best[2], sin * best[1] + cos * best[2]
-
-
-@kernel
-def nearest_mesh(x, y, top, limit, places, meshes):
-    """The same for the nearest of several placed meshes [M, 6]."""
     offset_x, offset_y = 0.0, 0.0
     for m in range(places.shape[0]):
-        distance, off_x, off_y = mesh_offset(x, y, top, limit, places[m], meshes)
-        if distance < limit:
-            limit, offset_x, offset_y = distance, off_x, off_y
+        place = places[m]
+        k = int(place[PLACE_NUMBER])
+        cos, sin = place[PLACE_COS], place[PLACE_SIN]
+        rel_x, rel_y = x - place[PLACE_X], y - place[PLACE_Y]
+        at_x, at_y = cos * rel_x + sin * rel_y, cos * rel_y - sin * rel_x
+        lowest, highest = GROUND_M - place[PLACE_Z], top - place[PLACE_Z]
+        solid = meshes.solid[k]
+        best = (limit * limit, 0.0, 0.0)
+        within = 0  # solids around the point at the lowest height, by the surfaces above it
+        root, base = meshes.first_node[k], meshes.first_triangle[k]
+        node, end = root, meshes.first_node[k + 1]
+        while node < end:
+            low, high = meshes.node_low[node], meshes.node_high[node]
+            off_x = max(low[0] - at_x, at_x - high[0], 0.0)
+            off_y = max(low[1] - at_y, at_y - high[1], 0.0)
+            distance_2 = off_x * off_x + off_y * off_y
+            above = solid and distance_2 == 0.0 and high[2] > highest
+            if high[2] < lowest or ((low[2] > highest or distance_2 >= best[0]) and not above):
+                node = root + meshes.node_skip[node]
+                continue
+            first = base + meshes.node_first[node]
+            for triangle in range(first, first + meshes.node_count[node]):
+                best, height, facing = _nearer_on_triangle(best, at_x, at_y, meshes.corners[triangle], lowest, highest)
+                if height > highest:
+                    within += facing
+                elif height >= lowest:
+                    return 0.0, 0.0, 0.0
+            node = root + meshes.node_skip[node] if meshes.node_count[node] > 0 else node + 1
+        if within > 0:
+            return 0.0, 0.0, 0.0
+        if best[0] < limit * limit:
+            limit = math.sqrt(best[0])
+            offset_x, offset_y = cos * best[1] - sin * best[2], sin * best[1] + cos * best[2]
     return limit, offset_x, offset_y
 
 
@@ -146,55 +141,44 @@ def lessen_clearances(points, top, places, meshes, clearances):
         clearances[n], _, _ = nearest_mesh(points[n, 0], points[n, 1], top, clearances[n], places, meshes)
 
 
-@kernel
+@inner
 def _way_out(x, y, places, meshes):
     """From a place inside of a mesh, the step to the nearest of some places around it that are not."""
-    reach = 0.1
-    while reach <= _FARTHEST_WAY_OUT_M:
-        for direction in range(_DIRECTIONS):
-            bearing = direction * 2.0 * math.pi / _DIRECTIONS
-            step_x, step_y = reach * math.cos(bearing), reach * math.sin(bearing)
-            if nearest_mesh(x + step_x, y + step_y, PERSON_TOP_M, 1e-3, places, meshes)[0] > 0.0:
-                return step_x, step_y
-        reach *= 2.0
+    for k in range(_RINGS * _DIRECTIONS):
+        reach, bearing = 0.1 * 2.0 ** (k // _DIRECTIONS), k % _DIRECTIONS * 2.0 * math.pi / _DIRECTIONS
+        step_x, step_y = reach * math.cos(bearing), reach * math.sin(bearing)
+        if nearest_mesh(x + step_x, y + step_y, PERSON_TOP_M, 1e-3, places, meshes)[0] > 0.0:
+            return step_x, step_y
     return 0.0, 0.0
 
 
 @inner
-def push_from_meshes(state, b, meshes, intended):
-    """Adds to what people of world b intend [P, 2] the velocity that keeps them off meshes as walls do."""
+def part_people_from_meshes(state, b, meshes, intended, reach):
+    """Keeps the people of world b off meshes as off walls.
+
+    Args:
+        intended: [P, 2] what people intend; gets the velocity that leads away from meshes near them.
+        reach: how far from their bodies meshes lead them away; 0: instead, who touches a mesh is moved off it.
+    """
     places = state.meshes[b, : state.num_meshes[b]]
     if places.shape[0] == 0:
         return
     for i in range(state.pos.shape[1]):
         if state.behaviour[b, i] == ABSENT or state.behaviour[b, i] == STANDING:
             continue
-        limit = state.radius[b, i] + _FORCE_REACH_M
-        distance, off_x, off_y = nearest_mesh(
-            state.pos[b, i, 0], state.pos[b, i, 1], PERSON_TOP_M, limit, places, meshes
-        )
-        if 0.0 < distance < limit:
-            size = _RELAXATION_S * _FORCE * math.exp(-(distance - state.radius[b, i]) / _FORCE_RANGE_M) / distance
+        x, y, radius = state.pos[b, i, 0], state.pos[b, i, 1], state.radius[b, i]
+        limit = radius + reach
+        distance, off_x, off_y = nearest_mesh(x, y, PERSON_TOP_M, limit, places, meshes)
+        if distance >= limit:
+            continue
+        if reach > 0.0:
+            size = _RELAXATION_S * _FORCE * math.exp(-(distance - radius) / _FORCE_RANGE_M) / max(distance, 1e-6)
             intended[i, 0] += size * off_x
             intended[i, 1] += size * off_y
-
-
-@inner
-def keep_out_of_meshes(state, b, meshes):
-    """Moves the people of world b out of meshes, as out of walls."""
-    places = state.meshes[b, : state.num_meshes[b]]
-    if places.shape[0] == 0:
-        return
-    for i in range(state.pos.shape[1]):
-        if state.behaviour[b, i] == ABSENT or state.behaviour[b, i] == STANDING:
-            continue
-        radius = state.radius[b, i]
-        x, y = state.pos[b, i, 0], state.pos[b, i, 1]
-        distance, off_x, off_y = nearest_mesh(x, y, PERSON_TOP_M, radius, places, meshes)
-        if distance == 0.0:
+        elif distance > 0.0:
+            state.pos[b, i, 0] += (radius - distance) * off_x / distance
+            state.pos[b, i, 1] += (radius - distance) * off_y / distance
+        else:
             off_x, off_y = _way_out(x, y, places, meshes)
             state.pos[b, i, 0] += off_x
             state.pos[b, i, 1] += off_y
-        elif distance < radius:
-            state.pos[b, i, 0] += (radius - distance) * off_x / distance
-            state.pos[b, i, 1] += (radius - distance) * off_y / distance

@@ -12,14 +12,14 @@ import math
 
 import numpy as np
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.mesh import PLACE_COS, PLACE_NUMBER, PLACE_SIN, PLACE_X, PLACE_Y, PLACE_Z
 
 _ROUNDING = 2e-7  # of float32 products: rays that pass so near to an edge belong to both of its triangles
 _NEAR_M = 1e-3  # what is nearer to a camera's plane than this has no place on the image
 
 
-@kernel
+@inner
 def _circle_position(x, y):
     """Where a direction is on the circle: grows with its bearing from -2 to 2, opposite directions are 2 apart."""
     size = abs(x) + abs(y)
@@ -27,26 +27,39 @@ def _circle_position(x, y):
     return along if y >= 0.0 else -along
 
 
-@kernel
+@inner
 def _apart(position, other):
     """The way from one position on the circle to another, -2 to 2."""
     way = other - position
     return way - 4.0 if way > 2.0 else (way + 4.0 if way < -2.0 else way)
 
 
-@kernel
+@inner
+def _first_from(position, value):
+    """The first ray at a position on the circle or beyond it."""
+    first, last = 0, position.shape[0]
+    while first < last:
+        middle = (first + last) // 2
+        if position[middle] < value:
+            first = middle + 1
+        else:
+            last = middle
+    return first
+
+
+@inner
 def _cross(out, a, b):
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@inner
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@inner
 def _edges(corner, edge, passing, normal):
     """A triangle's edges, the planes through origin and edge (rows of `passing`) and its normal; returns n.a."""
     for k in range(3):
@@ -58,7 +71,7 @@ def _edges(corner, edge, passing, normal):
     return _dot(normal, corner[0])
 
 
-@kernel
+@inner
 def _slack(passing):
     return np.float32(_ROUNDING * (abs(passing[0]) + abs(passing[1]) + abs(passing[2])))
 
@@ -136,6 +149,7 @@ def mesh_scan(
             if off_x * off_x + off_y * off_y > reach * reach or off_plane > half_plane + leaves:
                 node = root + meshes.node_skip[node]
                 continue
+            margin = 1e-6 + (1.6 * shift + 1e-6) / max(math.sqrt(off_x * off_x + off_y * off_y), 1e-9)
             first_triangle = base + meshes.node_first[node]
             for triangle in range(first_triangle, first_triangle + meshes.node_count[node]):
                 below, above = np.inf, -np.inf
@@ -150,21 +164,19 @@ def mesh_scan(
                 if below > leaves or above < -leaves:
                     continue
                 depth = _edges(corner, edge, passing, normal)
-                # The triangle's part of the circle, the whole of it around or right beside the scanner.
-                nearest = np.inf
+                # The triangle's part of the circle; all of it around or right beside the scanner.
+                start, right, left = 0.0, 0.0, 0.0
                 for v in range(3):
-                    ahead_2 = edge[v, 0] * edge[v, 0] + edge[v, 1] * edge[v, 1]
-                    s = -(corner[v, 0] * edge[v, 0] + corner[v, 1] * edge[v, 1]) / max(ahead_2, 1e-300)
-                    s = min(max(s, 0.0), 1.0)
-                    near_x, near_y = corner[v, 0] + s * edge[v, 0], corner[v, 1] + s * edge[v, 1]
-                    nearest = min(nearest, math.sqrt(near_x * near_x + near_y * near_y))
-                start = _circle_position(corner[0, 0], corner[0, 1])
-                way_1 = _apart(start, _circle_position(corner[1, 0], corner[1, 1]))
-                way_2 = _apart(start, _circle_position(corner[2, 0], corner[2, 1]))
-                margin = 1e-6 + (1.6 * shift + 1e-6) / max(nearest, 1e-9)
-                right, left = min(0.0, way_1, way_2) - margin, max(0.0, way_1, way_2) + margin
-                if left - right >= 2.0 - 1e-6:
-                    right, left = -4.0, 4.0
+                    at = _circle_position(corner[v, 0], corner[v, 1])
+                    start = at if v == 0 else start
+                    way = _apart(start, at)
+                    right, left = min(right, way), max(left, way)
+                if left - right + 2.0 * margin >= 2.0 - 1e-6:
+                    right, left = position[0], position[-1] + 1e-6
+                else:
+                    right, left = start + right - margin, start + left + margin
+                while right > position[0]:
+                    right, left = right - 4.0, left - 4.0
                 p0, p1, p2 = passing[0], passing[1], passing[2]
                 slack_0, slack_1, slack_2 = _slack(p0), _slack(p1), _slack(p2)
                 p0x, p0y, p0z = np.float32(p0[0]), np.float32(p0[1]), np.float32(p0[2])
@@ -180,11 +192,9 @@ def mesh_scan(
                     np.float32(depth),
                 )
                 which = np.int32(number + triangle - base)
-                for turn in range(-1, 2):
-                    low_end, high_end = start + right + 4.0 * turn, start + left + 4.0 * turn
-                    if high_end < position[0] or low_end > position[-1]:
-                        continue
-                    first, last = np.searchsorted(position, low_end), np.searchsorted(position, high_end)
+                while right <= position[-1]:
+                    first, last = _first_from(position, right), _first_from(position, left)
+                    right, left = right + 4.0, left + 4.0
                     for r in range(first, last):
                         dx, dy, dz, sx, sy = dir_x[r], dir_y[r], dir_z[r], start_x[r], start_y[r]
                         # The ray's moment, start x direction, is what its start changes.

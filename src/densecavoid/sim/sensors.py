@@ -115,7 +115,8 @@ class SensorSuite:
         else:  # the lower limit waits for what meshes there are below it
             unlimited = self._lidar, self._camera._replace(min_range=np.float32(0.0))
             for_worlds(kernels.sense, num_worlds, threads, state, which, *frames, *unlimited)
-            for_worlds(kernels.sense_meshes, num_worlds, threads, state, which, *frames, *optics, meshes)
+            placed = state.robot_pose, state.meshes, state.num_meshes
+            for_worlds(kernels.sense_meshes, num_worlds, threads, *placed, which, *frames, *optics, meshes)
         odometry = state.robot_pose
         if self.real:
             odometry = self._odometry
