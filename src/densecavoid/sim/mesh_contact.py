@@ -23,6 +23,7 @@ _FORCE_RANGE_M = 0.15
 FORCE_REACH_M = 0.6
 _RELAXATION_S = 0.5  # in which people take on the velocity they intend
 _DIRECTIONS = 16
+_MOST_WAITING = 64  # one a level and one more; two million triangles have 20 levels
 _RINGS = 6  # the nearest of .1 m, each twice as wide as the one before
 
 
@@ -89,6 +90,14 @@ def _nearer_on_triangle(best, x, y, corners, low, high):
 
 
 @inner
+def _box_distance_2(x, y, meshes, node):
+    """Squared distance in plan view from a point to a box of the hierarchy."""
+    low, high = meshes.node_low[node], meshes.node_high[node]
+    off_x, off_y = max(low[0] - x, x - high[0], 0.0), max(low[1] - y, y - high[1], 0.0)
+    return off_x * off_x + off_y * off_y
+
+
+@inner
 def nearest_mesh(x, y, top, limit, places, meshes):
     """How far a world point is from placed meshes [M, 6], for a body that reaches up to `top`, and the way off them.
 
@@ -97,6 +106,7 @@ def nearest_mesh(x, y, top, limit, places, meshes):
         of one; (limit, 0, 0) if none is nearer than `limit`.
     """
     offset_x, offset_y = 0.0, 0.0
+    waiting = np.empty(_MOST_WAITING, np.int64)
     for m in range(places.shape[0]):
         place = places[m]
         k = int(place[PLACE_NUMBER])
@@ -108,15 +118,21 @@ def nearest_mesh(x, y, top, limit, places, meshes):
         best = (limit * limit, 0.0, 0.0)
         within = 0  # solids around the point at the lowest height, by the surfaces above it
         root, base = meshes.first_node[k], meshes.first_triangle[k]
-        node, end = root, meshes.first_node[k + 1]
-        while node < end:
-            low, high = meshes.node_low[node], meshes.node_high[node]
-            off_x = max(low[0] - at_x, at_x - high[0], 0.0)
-            off_y = max(low[1] - at_y, at_y - high[1], 0.0)
-            distance_2 = off_x * off_x + off_y * off_y
-            above = solid and distance_2 == 0.0 and high[2] > highest
-            if high[2] < lowest or ((low[2] > highest or distance_2 >= best[0]) and not above):
-                node = root + meshes.node_skip[node]
+        waiting[0], num_waiting = root, 1
+        while num_waiting > 0:
+            num_waiting -= 1
+            node = waiting[num_waiting]
+            bottom, peak = meshes.node_low[node, 2], meshes.node_high[node, 2]
+            distance_2 = _box_distance_2(at_x, at_y, meshes, node)
+            above = solid and distance_2 == 0.0 and peak > highest
+            if peak < lowest or ((bottom > highest or distance_2 >= best[0]) and not above):
+                continue
+            if meshes.node_count[node] == 0:  # the nearer half first: it makes most of the other one needless
+                one, other = node + 1, root + meshes.node_skip[node + 1]
+                if _box_distance_2(at_x, at_y, meshes, one) < _box_distance_2(at_x, at_y, meshes, other):
+                    one, other = other, one
+                waiting[num_waiting], waiting[num_waiting + 1] = one, other
+                num_waiting += 2
                 continue
             first = base + meshes.node_first[node]
             for triangle in range(first, first + meshes.node_count[node]):
@@ -125,7 +141,6 @@ def nearest_mesh(x, y, top, limit, places, meshes):
                     within += facing
                 elif height >= lowest:
                     return 0.0, 0.0, 0.0
-            node = root + meshes.node_skip[node] if meshes.node_count[node] > 0 else node + 1
         if within > 0:
             return 0.0, 0.0, 0.0
         if best[0] < limit * limit:
