@@ -106,6 +106,16 @@ class PybulletRays:
                 )
                 self._place(shape, (x, y, (z_min + z_max) / 2), 0.0)
 
+        for mesh, x, y, z, yaw in plan.meshes:
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_MESH,
+                vertices=(scale * mesh.vertices.astype(np.float64)).tolist(),
+                indices=mesh.faces.ravel().tolist(),
+                flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+                physicsClientId=self._client,
+            )
+            self._place(shape, (x, y, z), yaw)
+
     def _plane(self, normal: list[int], z: float) -> None:
         shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, planeNormal=normal, physicsClientId=self._client)
         self._place(shape, (0.0, 0.0, z), 0.0)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from densecavoid.scenarios import make_scenario
-from densecavoid.scenarios.free_space import clear_path, clearances_m
+from densecavoid.scenarios.free_space import clear_path
 from densecavoid.scenarios.plan_file import read_plan
+from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.people import STANDING, WANDERING
 from densecavoid.sim.world import SimConfig, Simulator
 

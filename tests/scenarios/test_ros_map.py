@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from densecavoid.scenarios import make_scenario
-from densecavoid.scenarios.free_space import clearances_m
 from densecavoid.scenarios.rectangles import cover
 from densecavoid.scenarios.ros_map import read_ros_map
+from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.world import SimConfig, Simulator
 

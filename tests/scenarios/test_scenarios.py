@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from densecavoid.scenarios import TESTING, TRAINING, make_scenario, names
-from densecavoid.scenarios.free_space import clear_path, clearances_m, free_points, points_along
+from densecavoid.scenarios.free_space import clear_path, free_points, points_along
 from densecavoid.scenarios.mixture import Mixture
+from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.world import Simulator
 

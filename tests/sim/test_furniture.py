@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from densecavoid.frames import CameraConfig, LidarConfig
-from densecavoid.scenarios.free_space import FOR_PEOPLE, clearances_m
+from densecavoid.sim.clearance import FOR_PEOPLE, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.furniture import PIECES, kerb, place, ramp
 from densecavoid.sim.spec import WorldSpec

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 
@@ -66,29 +68,32 @@ def agrees(ours: np.ndarray, theirs: np.ndarray, least: float, most: float) -> n
 def compare(
     names: tuple[str, ...], seeds: range, config: SimConfig = DEFAULT
 ) -> dict[tuple[str, str], tuple[float, float]]:
+    """`compare_worlds` for these scenarios' worlds."""
+    return compare_worlds(scene(name, seed, config) for name in names for seed in seeds)
+
+
+def compare_worlds(sims: Iterable[Simulator]) -> dict[tuple[str, str], tuple[float, float]]:
     """(engine, sensor) -> share of values away from silhouettes that agree, and share of values that are so."""
     verdicts: dict[tuple[str, str], list[np.ndarray]] = {}
-    for name in names:
-        for seed in seeds:
-            sim = scene(name, seed, config)
-            lidar, camera, pose = sim.config.lidar, sim.config.camera, sim.robot_pose[0]
-            frame = sim.sense()
-            sensors = {
-                "lidar": (*lidar_rays(lidar, pose), frame.scan_m[0], 0.0, lidar.max_range_m),
-                "depth": (*camera_rays(camera, pose), frame.depth_m[0], camera.min_range_m, camera.max_range_m),
+    for sim in sims:
+        lidar, camera, pose = sim.config.lidar, sim.config.camera, sim.robot_pose[0]
+        frame = sim.sense()
+        sensors = {
+            "lidar": (*lidar_rays(lidar, pose), frame.scan_m[0], 0.0, lidar.max_range_m),
+            "depth": (*camera_rays(camera, pose), frame.depth_m[0], camera.min_range_m, camera.max_range_m),
+        }
+        exact = MujocoRays(sim.floor_plan(0), sim.body_cylinders(0))
+        bullet = PybulletRays(sim.floor_plan(0), sim.body_cylinders(0), scale=100.0)
+        for sensor, (origin, directions, ours, least, most) in sensors.items():
+            casts = {
+                "mujoco": exact.caster(origin, directions, most + 0.5)(),
+                "pybullet": bullet.caster(origin, directions, most + 0.5)(),
             }
-            exact = MujocoRays(sim.floor_plan(0), sim.body_cylinders(0))
-            bullet = PybulletRays(sim.floor_plan(0), sim.body_cylinders(0), scale=100.0)
-            for sensor, (origin, directions, ours, least, most) in sensors.items():
-                casts = {
-                    "mujoco": exact.caster(origin, directions, most + 0.5)(),
-                    "pybullet": bullet.caster(origin, directions, most + 0.5)(),
-                }
-                edge = np.logical_or(*(at_silhouette(hits, ours.shape) for hits in casts.values()))
-                for engine, hits in casts.items():
-                    good = agrees(ours, hits.distance.reshape(ours.shape), least, most)
-                    verdicts.setdefault((engine, sensor), []).append(np.stack([good, ~edge]).reshape(2, -1))
-            bullet.close()
+            edge = np.logical_or(*(at_silhouette(hits, ours.shape) for hits in casts.values()))
+            for engine, hits in casts.items():
+                good = agrees(ours, hits.distance.reshape(ours.shape), least, most)
+                verdicts.setdefault((engine, sensor), []).append(np.stack([good, ~edge]).reshape(2, -1))
+        bullet.close()
     shares = {}
     for key, parts in verdicts.items():
         good, away = np.concatenate(parts, axis=1)

@@ -14,10 +14,11 @@ from jaxtyping import Float, Int
 from scipy.ndimage import label
 
 from densecavoid.frames import choose, require
-from densecavoid.scenarios.free_space import Area, Ground, clear_path, clearance_grid_m, clearances_m
+from densecavoid.scenarios.free_space import Area, Ground, clear_path, clearance_grid_m
 from densecavoid.scenarios.ros_map import RosMap
 from densecavoid.scenarios.walk_net import walk_net
 from densecavoid.scenarios.world_builder import END_CLEARANCE_M, WAY_CLEARANCE_M, WorldBuilder, first_that_fits
+from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import WalkNet, WorldSpec
 

@@ -9,9 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from densecavoid.frames import RobotConfig
 from densecavoid.sim._jit import kernel
-from densecavoid.sim.clearance import clearances
+from densecavoid.sim.clearance import FOR_ROBOT, Heights, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.geometry import (
     BOX_COS,
@@ -30,7 +29,6 @@ from densecavoid.sim.geometry import (
     disc_offset,
     rectangle_offset,
 )
-from densecavoid.sim.people import STEP_OVER_M, WALK_UNDER_M
 
 Area = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max."""
@@ -40,21 +38,6 @@ _MAX_TRIES = 2000
 
 Ground = Callable[[Float[np.ndarray, "N 2"]], Bool[np.ndarray, "N"]]
 """Tells which points are places to be, where the plan alone does not (a map's unknown cells are not)."""
-
-Heights = tuple[float, float]
-"""What reaches above the first and begins below the second counts (m)."""
-FOR_ROBOT: Heights = (0.0, RobotConfig().height_m)
-FOR_PEOPLE: Heights = (STEP_OVER_M, WALK_UNDER_M)
-
-
-def clearances_m(
-    plan: FloorPlan, points: Float[np.ndarray, "N 2"], limit_m: float = 10.0, heights: Heights = FOR_ROBOT
-) -> Float[np.ndarray, "N"]:
-    """Distance from each point to the nearest thing in the plan (negative inside); at most `limit_m`."""
-    packed = plan.packed()
-    out = np.empty(len(points))
-    clearances(np.asarray(points, np.float64), packed.boxes, packed.cylinders, *heights, limit_m, out)
-    return out
 
 
 @kernel
@@ -102,7 +85,27 @@ def clearance_grid_m(
     grid = np.full(shape, limit_m)
     packed = plan.packed()
     _spread_clearances(grid, area[0], area[1], cell_m, packed.boxes, packed.cylinders, *heights)
+    if plan.meshes:
+        places = [area[axis] + (np.arange(shape[axis]) + 0.5) * cell_m for axis in (0, 1)]
+        centres = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 2)
+        grid = np.minimum(grid, clearances_m(plan, centres, limit_m, heights).reshape(shape))
     return grid
+
+
+@kernel
+def _choose(candidates, room, clearance, apart, away_x, away_y, away, chosen, found):
+    """Takes candidates [N, 2] with enough room into `chosen` [count, 2] after the `found` that are there; how many."""
+    for n in range(candidates.shape[0]):
+        if found == chosen.shape[0]:
+            break
+        x, y = candidates[n, 0], candidates[n, 1]
+        fits = room[n] >= clearance and math.hypot(x - away_x, y - away_y) >= away
+        for k in range(found):
+            fits = fits and math.hypot(x - chosen[k, 0], y - chosen[k, 1]) >= apart
+        if fits:
+            chosen[found, 0], chosen[found, 1] = x, y
+            found += 1
+    return found
 
 
 def free_points(
@@ -120,21 +123,19 @@ def free_points(
     Raises:
         ValueError: if there is no room for them.
     """
-    chosen = np.zeros((0, 2))
+    chosen, found = np.empty((count, 2)), 0
     low, high = np.array(area[:2]), np.array(area[2:])
+    from_x, from_y = (0.0, 0.0) if away_from is None else away_from
+    away_m = 0.0 if away_from is None else away_m
     for _ in range(_MAX_TRIES // 50):
         candidates = rng.uniform(low, high, (50, 2))
-        fits = clearances_m(plan, candidates) >= clearance_m
-        if away_from is not None:
-            fits &= np.hypot(*(candidates - away_from).T) >= away_m
-        for point in candidates[fits]:
-            if len(chosen) < count and (np.hypot(*(chosen - point).T) >= apart_m).all():
-                chosen = np.vstack([chosen, point])
-        if len(chosen) >= count:
+        room = clearances_m(plan, candidates, clearance_m)
+        found = _choose(candidates, room, clearance_m, apart_m, from_x, from_y, away_m, chosen, found)
+        if found == count:
             return chosen
     raise ValueError(
         f"no room for {count} places in {area} with {clearance_m} m to things and {apart_m} m to each other: "
-        f"found {len(chosen)} in {_MAX_TRIES} tries"
+        f"found {found} in {_MAX_TRIES} tries"
     )
 
 

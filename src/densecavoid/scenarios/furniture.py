@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from densecavoid.scenarios.free_space import Area, clearances_m
+from densecavoid.scenarios.free_space import Area
+from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.furniture import PIECES, Piece
 

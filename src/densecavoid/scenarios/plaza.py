@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from densecavoid.scenarios.free_space import clearances_m
 from densecavoid.scenarios.furniture import scatter
 from densecavoid.scenarios.levelled import Levelled
 from densecavoid.scenarios.world_builder import WorldBuilder, first_that_fits
+from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.furniture import kerb, place, ramp
 from densecavoid.sim.spec import WorldSpec

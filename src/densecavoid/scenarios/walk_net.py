@@ -11,7 +11,8 @@ from scipy.ndimage import label
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from densecavoid.scenarios.free_space import FOR_PEOPLE, Area, Ground, clearance_grid_m, clearances_m
+from densecavoid.scenarios.free_space import Area, Ground, clearance_grid_m
+from densecavoid.sim.clearance import FOR_PEOPLE, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import NET_LINKS, NET_PLACES, WalkNet
 

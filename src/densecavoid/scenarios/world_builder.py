@@ -9,17 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from densecavoid.frames import require
-from densecavoid.scenarios.free_space import (
-    FOR_PEOPLE,
-    FOR_ROBOT,
-    Area,
-    Ground,
-    clear_path,
-    clearances_m,
-    free_points,
-    points_along,
-)
+from densecavoid.scenarios.free_space import Area, Ground, clear_path, free_points, points_along
 from densecavoid.scenarios.walk_net import walk_net
+from densecavoid.sim.clearance import FOR_PEOPLE, FOR_ROBOT, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import STANDING, TRAVERSING, WANDERING, sample_bodies
 from densecavoid.sim.spec import Crowd, WalkNet, WorldSpec

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from jaxtyping import Float
 
+from densecavoid.frames import RobotConfig
 from densecavoid.sim._jit import kernel
-from densecavoid.sim.floorplan import PackedPlan
+from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.geometry import (
     BOX_HALF_LENGTH,
     BOX_HALF_WIDTH,
@@ -20,14 +22,22 @@ from densecavoid.sim.geometry import (
     disc_offset,
     rectangle_offset,
 )
+from densecavoid.sim.mesh import mesh_set, place_rows
+from densecavoid.sim.mesh_contact import lessen_clearances
 from densecavoid.sim.people import STEP_OVER_M, WALK_UNDER_M
 from densecavoid.sim.spec import WorldSpec
 
+Heights = tuple[float, float]
+"""What reaches above the first and begins below the second counts (m)."""
+FOR_ROBOT: Heights = (0.0, RobotConfig().height_m)
+FOR_PEOPLE: Heights = (STEP_OVER_M, WALK_UNDER_M)
+
+_FAR_M = 10.0
 _TOUCH_M = 0.005  # bodies and things may touch: float32 and rounded files
 
 
 @kernel
-def clearances(points, boxes, cylinders, low, high, limit, out):
+def _clearances(points, boxes, cylinders, low, high, limit, out):
     """Distance from each point [N, 2] to the nearest thing that reaches above `low` and begins below `high` (m).
 
     Negative inside, at most `limit`; written to `out` [N].
@@ -50,6 +60,19 @@ def clearances(points, boxes, cylinders, low, high, limit, out):
         out[n] = nearest
 
 
+def clearances_m(
+    plan: FloorPlan, points: Float[np.ndarray, "N 2"], limit_m: float = _FAR_M, heights: Heights = FOR_ROBOT
+) -> Float[np.ndarray, "N"]:
+    """Distance from each point to the nearest thing in the plan (negative inside); at most `limit_m`."""
+    packed, points, out = plan.packed(), np.asarray(points, np.float64), np.empty(len(points))
+    _clearances(points, packed.boxes, packed.cylinders, *heights, limit_m, out)
+    if plan.meshes:
+        meshes = tuple(dict.fromkeys(place.mesh for place in plan.meshes))
+        places = place_rows(plan.meshes, [meshes.index(place.mesh) for place in plan.meshes])
+        lessen_clearances(points, heights[1], places, mesh_set(meshes), out)
+    return out
+
+
 @kernel
 def nearest_pair(pos, radius):
     """The two bodies [P, 2] with the least gap between them: (gap, one, other); (inf, -1, -1) of fewer than two."""
@@ -62,7 +85,7 @@ def nearest_pair(pos, radius):
     return least, first, second
 
 
-def check_can_begin(spec: WorldSpec, plan: PackedPlan, robot_height_m: float) -> None:
+def check_can_begin(spec: WorldSpec, robot_height_m: float) -> None:
     """Refuses a world in which somebody would start where there is no room.
 
     The robot needs its collision distance at the start and at the goal, to everything that begins below its height.
@@ -74,8 +97,7 @@ def check_can_begin(spec: WorldSpec, plan: PackedPlan, robot_height_m: float) ->
     """
     crowd, need = spec.crowd, spec.collision_distance_m
     ends = np.array([spec.start_pose[:2], spec.goal], np.float64)
-    room = np.empty(2)
-    clearances(ends, plan.boxes, plan.cylinders, 0.0, robot_height_m, 10.0, room)
+    room = clearances_m(spec.floor_plan, ends, heights=(0.0, robot_height_m))
     for name, (x, y), free in zip(("start", "goal"), ends.tolist(), room.tolist(), strict=True):
         if free < need - _TOUCH_M:
             raise ValueError(
@@ -93,8 +115,7 @@ def check_can_begin(spec: WorldSpec, plan: PackedPlan, robot_height_m: float) ->
         )
     if spec.appearance is not None:
         return
-    room = np.empty(crowd.size)
-    clearances(pos, plan.boxes, plan.cylinders, STEP_OVER_M, WALK_UNDER_M, 10.0, room)
+    room = clearances_m(spec.floor_plan, pos, heights=FOR_PEOPLE)
     worst = int(np.argmin(room - radius))
     if room[worst] < radius[worst] - _TOUCH_M:
         raise ValueError(

@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from densecavoid.frames import require
 from densecavoid.sim.materials import GLASS, MATERIALS, material_number
+from densecavoid.sim.mesh import Mesh, MeshPlace
 
 WALL_HEIGHT_M = 2.5
 WALL_THICKNESS_M = 0.1
@@ -44,6 +45,7 @@ class FloorPlan:
     _cylinder_material: list[int] = field(default_factory=list)
     _packed: tuple[tuple[int, int], PackedPlan] | None = field(default=None, compare=False, repr=False)
     """The last packing and how much it held: a plan only grows."""
+    _meshes: list[MeshPlace] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         require(self.ceiling_m > 0, "FloorPlan.ceiling_m", self.ceiling_m, "positive, inf outdoors")
@@ -92,6 +94,11 @@ class FloorPlan:
         part._cylinder_material = [self._cylinder_material[k] for k in pillars]
         part._packed = None
         return part
+
+    @property
+    def meshes(self) -> list[MeshPlace]:
+        """Triangle meshes and where they stand."""
+        return list(self._meshes)
 
     def packed(self) -> PackedPlan:
         """Everything, for the kernels. Not to be written to."""
@@ -159,6 +166,16 @@ class FloorPlan:
         require(not MATERIALS[number].see_through, "pillar material", material, "none that sensors look through")
         self._cylinder_material.append(number)
         self._cylinders.append(values)
+
+    def mesh(self, mesh: Mesh, x: float, y: float, yaw: float = 0.0, z: float = 0.0) -> None:
+        """A triangle mesh with its origin at (x, y, z), turned by `yaw`.
+
+        Raises:
+            ValueError: if a value is not finite.
+        """
+        values = (x, y, z, yaw)
+        require(all(map(math.isfinite, values)), "mesh (x, y, z, yaw)", values, "finite")
+        self._meshes.append(MeshPlace(mesh, *values))
 
     def wall(
         self,

@@ -25,6 +25,8 @@ from densecavoid.sim.geometry import (
     rectangle_offset,
 )
 from densecavoid.sim.lidar import scan, turn_rays
+from densecavoid.sim.mesh_contact import FORCE_REACH_M, nearest_mesh, part_people_from_meshes
+from densecavoid.sim.mesh_rays import mesh_depth, mesh_scan
 from densecavoid.sim.people import ABSENT, PARTS, STANDING, place_body, remove_body
 from densecavoid.sim.robot import drive, limit_change
 
@@ -58,8 +60,10 @@ def place_bodies(state, b):
 
 
 @kernel
-def nearest_surfaces(state, b, x, y, top):
+def nearest_surfaces(state, b, x, y, top, meshes):
     """Distances from a point to the nearest surface that begins below `top`, and to the nearest person's.
+
+    `meshes` is a `MeshSet`, or None where no world has one: numba then leaves out all that is for meshes.
 
     Returns:
         (distance to anything, distance to a person, that person's slot or -1); inf where there is none.
@@ -81,6 +85,9 @@ def nearest_surfaces(state, b, x, y, top):
             continue
         distance, _, _ = rectangle_offset(x, y, box)
         nearest = min(nearest, distance)
+    if meshes is not None:
+        places = state.meshes[b, : state.num_meshes[b]]
+        nearest, _, _ = nearest_mesh(x, y, top, nearest, places, meshes)
     return nearest, nearest_person, slot
 
 
@@ -108,7 +115,7 @@ def _appear(state, b, time_s):
 
 
 @inner
-def _move_crowd(state, b, scratch, recordings, sub_step, replay_reactive, robot_radius, dt):
+def _move_crowd(state, b, scratch, recordings, meshes, sub_step, replay_reactive, robot_radius, dt):
     intended, new_vel = scratch[0], scratch[1]
     intended[:] = 0.0
     if state.recording[b] >= 0:
@@ -117,7 +124,11 @@ def _move_crowd(state, b, scratch, recordings, sub_step, replay_reactive, robot_
             return
     else:
         intend_scripted(state, b, intended, dt)
+    if meshes is not None:
+        part_people_from_meshes(state, b, meshes, intended, FORCE_REACH_M)
     move_people(state, b, intended, new_vel, robot_radius, dt)
+    if meshes is not None:
+        part_people_from_meshes(state, b, meshes, intended, 0.0)
 
 
 @inner
@@ -139,6 +150,7 @@ def advance(
     last,
     state,
     recordings,
+    meshes,
     replay_reactive,
     command,
     dynamic,
@@ -163,7 +175,7 @@ def advance(
         nearest_person, slot = np.inf, -1
         for s in range(sub_steps):
             tick = state.step_count[b] * sub_steps + s + 1
-            _move_crowd(state, b, scratch, recordings, tick, replay_reactive, robot_radius, dt)
+            _move_crowd(state, b, scratch, recordings, meshes, tick, replay_reactive, robot_radius, dt)
             if dynamic:
                 velocity[0] = limit_change(velocity[0], linear, max_linear_acc * dt)
                 velocity[1] = limit_change(velocity[1], angular, max_angular_acc * dt)
@@ -173,7 +185,7 @@ def advance(
             if state.trigger_distance[b] < np.inf and np.isnan(state.spawn_time[b]):
                 _appear(state, b, tick * dt)
             place_bodies(state, b)
-            nearest, nearest_person, slot = nearest_surfaces(state, b, pose[0], pose[1], robot_height)
+            nearest, nearest_person, slot = nearest_surfaces(state, b, pose[0], pose[1], robot_height, meshes)
             state.clearance_m[b] = min(state.clearance_m[b], nearest)
             state.clearance_people_m[b] = min(state.clearance_people_m[b], nearest_person)
             if nearest < state.collision_distance_m[b]:
@@ -192,7 +204,7 @@ def advance(
 
 
 @kernel
-def begin(first, last, state, recordings, replay_reactive, which, robot_height, dt):
+def begin(first, last, state, recordings, meshes, replay_reactive, which, robot_height, dt):
     """Brings worlds that were just filled to their first instant: recorded people in place, bodies, clearances."""
     for b in range(first, last):
         if not which[b]:
@@ -202,7 +214,7 @@ def begin(first, last, state, recordings, replay_reactive, which, robot_height, 
             follow_recording(state, b, recordings, 0, replay_reactive[b], intended, dt)
         place_bodies(state, b)
         x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
-        state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height)
+        state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height, meshes)
 
 
 @inner
@@ -282,3 +294,45 @@ def limit_ranges(first, last, which, scans, images, scan_most, least, most):
             for u in range(images.shape[2]):
                 t = images[b, v, u]
                 images[b, v, u] = t if (t >= least) & (t <= most) else np.float32(np.nan)
+
+
+@kernel
+def sense_meshes(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera, meshes):
+    """Adds the triangle meshes of the marked worlds to what `sense_level` or `sense_hits` measured, however far.
+
+    Args:
+        scan_hits: as in `sense_hits`; of no worlds where nobody asks. `image_hits` alike.
+        meshes: the `MeshSet`.
+    """
+    no_hits, no_pixels = np.empty(0, np.int32), np.empty((0, 0), np.int32)
+    ray_x, ray_y = lidar.ray_x.copy(), lidar.ray_y.copy()
+    start_x, start_y = np.zeros_like(ray_x), np.zeros_like(ray_y)
+    tell, first_triangle = scan_hits.shape[0] > 0, state.cylinders.shape[1] + state.boxes.shape[1]
+    for b in range(first, last):
+        places = state.meshes[b, : state.num_meshes[b]]
+        if not which[b] or places.shape[0] == 0:
+            continue
+        x, y, yaw = state.robot_pose[b]
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        if lidar.start < 0.0:
+            linear, angular = state.robot_velocity[b]
+            turn_rays(lidar, angular, ray_x, ray_y)
+            for r in range(ray_x.shape[0]):
+                time = lidar.start + lidar.interval * r
+                start_x[r], start_y[r] = linear * time, angular * lidar.ahead * time
+        mesh_scan(
+            scans[b], scan_hits[b] if tell else no_hits, first_triangle, x + cos * lidar.ahead, y + sin * lidar.ahead,
+            lidar.height, yaw, ray_x, ray_y, lidar.ray_z, start_x, start_y, float(lidar.max_range), places, meshes,
+        )  # fmt: skip
+        mesh_picture(state, b, images[b], image_hits[b] if tell else no_pixels, camera, meshes)
+
+
+@kernel
+def mesh_picture(state, b, image, hits, camera, meshes):
+    """The same for what `picture` shows of one world."""
+    x, y, yaw = state.robot_pose[b]
+    mesh_depth(
+        image, hits, state.cylinders.shape[1] + state.boxes.shape[1], x + math.cos(yaw) * camera.ahead,
+        y + math.sin(yaw) * camera.ahead, camera.height, yaw, camera.column_slope, camera.row_slope, camera.pitch,
+        float(camera.max_range), state.meshes[b, : state.num_meshes[b]], meshes,
+    )  # fmt: skip

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Float
 
 from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.mesh import Mesh
 from densecavoid.sim.people import PARTS
 
 _PART_NAMES = ("left-leg", "right-leg", "left-trunk", "right-trunk", "left-arm", "right-arm", "head")
@@ -16,6 +18,7 @@ _COLOURS = {
     "plane": "0.82 0.82 0.80 1",
     "box": "0.55 0.60 0.68 1",
     "pillar": "0.45 0.50 0.58 1",
+    "mesh": "0.58 0.50 0.42 1",
     "person": "0.85 0.45 0.25 1",
 }
 
@@ -23,8 +26,8 @@ _COLOURS = {
 def world_mjcf(plan: FloorPlan, bodies: Float[np.ndarray, "people parts 5"] | None = None) -> str:
     """MJCF text of a floor plan and the people in it, with the ground at z = 0 and the ceiling, if it has one.
 
-    All solids are static geoms of the world body, in the order: ground, ceiling, boxes, pillars, people. Numbers are
-    written with all their digits, so that MuJoCo reads the very same values.
+    All solids are static geoms of the world body, in the order: ground, ceiling, boxes, pillars, people, meshes.
+    Numbers are written with all their digits, so that MuJoCo reads the very same values.
 
     Args:
         plan: `Simulator.floor_plan(b)`.
@@ -34,10 +37,13 @@ def world_mjcf(plan: FloorPlan, bodies: Float[np.ndarray, "people parts 5"] | No
     ElementTree.SubElement(root, "compiler", angle="radian")
     world = ElementTree.SubElement(root, "worldbody")
 
+    def digits(values: Iterable[float]) -> str:
+        return " ".join(repr(float(value)) for value in values)
+
     def geom(name: str, kind: str, colour: str, size: tuple[float, ...], pos: tuple[float, ...], euler: tuple) -> None:
         attributes = {"name": name, "type": kind, "rgba": _COLOURS[colour]}
         numbers = {"size": size, "pos": pos, "euler": euler}
-        attributes |= {key: " ".join(repr(float(value)) for value in values) for key, values in numbers.items()}
+        attributes |= {key: digits(values) for key, values in numbers.items()}
         ElementTree.SubElement(world, "geom", attributes)
 
     def cylinder(name: str, colour: str, row: np.ndarray) -> None:
@@ -57,5 +63,18 @@ def world_mjcf(plan: FloorPlan, bodies: Float[np.ndarray, "people parts 5"] | No
         for name, row in zip(_PART_NAMES, parts, strict=True):
             if row[2] > 0:
                 cylinder(f"person-{i}-{name}", "person", row)
+    asset = ElementTree.SubElement(root, "asset")
+    names: dict[Mesh, str] = {}
+    for i, (mesh, x, y, z, yaw) in enumerate(plan.meshes):
+        if mesh not in names:
+            names[mesh] = f"{mesh.name}-{len(names)}"
+            # As a shell it needs no inside. MuJoCo moves it to its own centre and axes, and the geom with it.
+            mesh_asset = {"name": names[mesh], "inertia": "shell", "vertex": digits(mesh.vertices.ravel().tolist())}
+            ElementTree.SubElement(
+                asset, "mesh", mesh_asset | {"face": " ".join(map(str, mesh.faces.ravel().tolist()))}
+            )
+        pose = {"pos": digits((x, y, z)), "euler": digits((0, 0, yaw))}
+        attributes = {"name": f"mesh-{i}", "type": "mesh", "mesh": names[mesh], "rgba": _COLOURS["mesh"]}
+        ElementTree.SubElement(world, "geom", attributes | pose)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

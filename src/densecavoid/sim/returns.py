@@ -64,9 +64,9 @@ def returns(config: SensorNoiseConfig, lidar: LidarConfig) -> Returns:
 
 
 @inner
-def _light(solids, hit, origin, ray, distance, optics):
+def _light(solids, hit, origin, ray, distance, optics, meshes):
     """Light that comes back from `distance` along a unit `ray`; 1 is what comes from reflectance 1 at 1 m."""
-    material = material_at(solids, hit, _GROUND, _CEILING)
+    material = material_at(solids, hit, _GROUND, _CEILING, meshes)
     if material == CLOTHES:
         tone = share_of(hash_of(np.uint64(solids.person_id[hit // PARTS]), 17))
         reflectance = _CLOTHES_INFRARED[0] + (_CLOTHES_INFRARED[1] - _CLOTHES_INFRARED[0]) * tone
@@ -75,7 +75,7 @@ def _light(solids, hit, origin, ray, distance, optics):
     else:
         reflectance = float(optics.infrared[material])
     x, y, z = origin[0] + distance * ray[0], origin[1] + distance * ray[1], origin[2] + distance * ray[2]
-    n_x, n_y, n_z = normal_at(solids, hit, x, y, z)
+    n_x, n_y, n_z = normal_at(solids, hit, x, y, z, meshes)
     return reflectance * abs(n_x * ray[0] + n_y * ray[1] + n_z * ray[2]) / max(distance * distance, 1e-6)
 
 
@@ -105,10 +105,10 @@ def glass_distance(boxes, k, origin, ray):
 
 
 @inner
-def _what_returns(solids, distance, hit, origin, ray, reach, peak, optics, weak_key, glass_key, index):
+def _what_returns(solids, distance, hit, origin, ray, reach, peak, optics, weak_key, glass_key, index, meshes):
     """Distance along a unit `ray` that a real sensor measures, given what it meets first behind all glass; or inf."""
     if hit != NOTHING and _too_weak(
-        _light(solids, hit, origin, ray, distance, optics), reach, hash_of(weak_key, index)
+        _light(solids, hit, origin, ray, distance, optics, meshes), reach, hash_of(weak_key, index)
     ):
         distance = np.inf
     for k in range(solids.first_glass, solids.num_boxes):
@@ -124,7 +124,7 @@ def _what_returns(solids, distance, hit, origin, ray, reach, peak, optics, weak_
 
 
 @kernel
-def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, image_hits, lidar, camera, optics):
+def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, image_hits, lidar, camera, optics, meshes):
     """Takes from exact scans and images what does not come back to real sensors, and adds what glass returns."""
     rows, width = images.shape[1], images.shape[2]
     cos_pitch, sin_pitch = math.cos(camera.pitch), math.sin(camera.pitch)
@@ -141,7 +141,18 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
             ray = (cos * ahead - sin * left, sin * ahead + cos * left, float(lidar.ray_z[r]))
             hit, distance = scan_hits[b, r], float(scans[b, r])
             scans[b, r] = _what_returns(
-                solids, distance, hit, origin, ray, optics.lidar_reach, optics.lidar_glass, optics, weak, glass, r
+                solids,
+                distance,
+                hit,
+                origin,
+                ray,
+                optics.lidar_reach,
+                optics.lidar_glass,
+                optics,
+                weak,
+                glass,
+                r,
+                meshes,
             )
         weak, glass = sensor_key(seeds[b], step, _WEAK_IMAGE), sensor_key(seeds[b], step, _GLASS_IMAGE)
         origin = (x + cos * camera.ahead, y + sin * camera.ahead, camera.height)
@@ -158,19 +169,8 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
                     rise / length,
                 )
                 hit, distance = image_hits[b, v, u], length * float(images[b, v, u])
-                images[b, v, u] = (
-                    _what_returns(
-                        solids,
-                        distance,
-                        hit,
-                        origin,
-                        ray,
-                        optics.camera_reach,
-                        optics.camera_glass,
-                        optics,
-                        weak,
-                        glass,
-                        v * width + u,
-                    )
-                    / length
+                reach, peak, pixel = optics.camera_reach, optics.camera_glass, v * width + u
+                distance = _what_returns(
+                    solids, distance, hit, origin, ray, reach, peak, optics, weak, glass, pixel, meshes
                 )
+                images[b, v, u] = distance / length

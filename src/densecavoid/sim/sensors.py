@@ -13,7 +13,10 @@ from densecavoid.sim._jit import for_worlds
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.depth import camera_optics
 from densecavoid.sim.lidar import lidar_optics
+from densecavoid.sim.mesh import MeshSet
 from densecavoid.sim.state import WorldState
+
+_NO_LIMITS = np.float32(np.inf), np.float32(0.0), np.float32(np.inf)
 
 
 class DelayLine:
@@ -103,7 +106,7 @@ class SensorSuite:
         self._last_pose[which] = np.nan
 
     def sense(
-        self, state: WorldState, which: Bool[np.ndarray, "B"] | None = None
+        self, state: WorldState, which: Bool[np.ndarray, "B"] | None = None, meshes: MeshSet | None = None
     ) -> tuple[Float32[np.ndarray, "B rays"], Float32[np.ndarray, "B height width"], Float[np.ndarray, "B 3"]]:
         """Scans, depth images and odometry of the marked worlds (all, without `which`); the others keep their last.
 
@@ -118,13 +121,18 @@ class SensorSuite:
         def each(kernel: Callable, *args: object) -> None:
             for_worlds(kernel, num_worlds, threads, *args)
 
-        if len(self._hits[0]):
+        tell = len(self._hits[0]) > 0
+        if tell:
             each(kernels.sense_hits, state, which, *frames, *self._hits, *optics)
-            if self.real:
-                each(returns.lose_returns, state, which, self._seeds, *frames, *self._hits, *optics, self._returns)
-            each(kernels.limit_ranges, which, *frames, *self._limits)
         else:
-            each(kernels.sense_level, state, which, *frames, *optics, *self._limits)
+            limits = self._limits if meshes is None else _NO_LIMITS
+            each(kernels.sense_level, state, which, *frames, *optics, *limits)
+        if meshes is not None:
+            each(kernels.sense_meshes, state, which, *frames, *self._hits, *optics, meshes)
+        if self.real:
+            each(returns.lose_returns, state, which, self._seeds, *frames, *self._hits, *optics, self._returns, meshes)
+        if tell or meshes is not None:
+            each(kernels.limit_ranges, which, *frames, *self._limits)
         odometry = state.robot_pose
         if self.real:
             odometry = self._odometry

@@ -41,6 +41,8 @@ class WorldState(NamedTuple):
     num_glass: np.ndarray  # i64 [B] so many of the boxes, the last ones
     cylinder_material: np.ndarray  # u8 [B, NC] without people
     ceiling_m: np.ndarray  # f64 [B] inf outdoors
+    meshes: np.ndarray  # f64 [B, M, 6] placed triangle meshes (mesh.PLACE_...)
+    num_meshes: np.ndarray  # i64 [B]
     # people
     pos: np.ndarray  # f64 [B, P, 2]
     vel: np.ndarray  # f64 [B, P, 2]
@@ -71,7 +73,12 @@ class WorldState(NamedTuple):
 
 
 def allocate(
-    num_worlds: int, num_people: int, num_boxes: int, num_static_cylinders: int, num_waypoints: int
+    num_worlds: int,
+    num_people: int,
+    num_boxes: int,
+    num_static_cylinders: int,
+    num_waypoints: int,
+    num_meshes: int = 0,
 ) -> WorldState:
     """Empty worlds with room for so much."""
     b, p = num_worlds, num_people
@@ -108,6 +115,8 @@ def allocate(
         num_glass=whole(np.int64),
         cylinder_material=whole(np.uint8, num_static_cylinders),
         ceiling_m=real() + np.inf,
+        meshes=real(num_meshes, 6),
+        num_meshes=whole(np.int64),
         pos=real(p, 2),
         vel=real(p, 2),
         person_goal=real(p, 2),
@@ -135,16 +144,20 @@ def allocate(
     )
 
 
-def capacity(state: WorldState) -> tuple[int, int, int, int]:
-    """People, boxes, static cylinders and waypoints that `state` has room for."""
+def capacity(state: WorldState) -> tuple[int, int, int, int, int]:
+    """People, boxes, static cylinders, waypoints and meshes that `state` has room for."""
     people = state.pos.shape[1]
-    return people, state.boxes.shape[1], state.cylinders.shape[1] - PARTS * people, state.waypoints.shape[1]
+    pillars = state.cylinders.shape[1] - PARTS * people
+    return people, state.boxes.shape[1], pillars, state.waypoints.shape[1], state.meshes.shape[1]
 
 
-def with_room(state: WorldState, people: int, boxes: int, static_cylinders: int, waypoints: int) -> WorldState:
+def with_room(
+    state: WorldState, people: int, boxes: int, static_cylinders: int, waypoints: int, meshes: int = 0
+) -> WorldState:
     """The same worlds with room for at least so much; the same arrays where there already is."""
     have = capacity(state)
-    need = tuple(max(h, n) for h, n in zip(have, (people, boxes, static_cylinders, waypoints), strict=True))
+    wanted = (people, boxes, static_cylinders, waypoints, meshes)
+    need = tuple(max(h, n) for h, n in zip(have, wanted, strict=True))
     if need == have:
         return state
     larger = allocate(len(state.goal), *need)

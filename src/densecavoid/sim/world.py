@@ -15,6 +15,7 @@ from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.images import Images, take_images
 from densecavoid.sim.materials import MATERIALS
+from densecavoid.sim.mesh import Mesh, MeshSet, mesh_set, place_rows
 from densecavoid.sim.people import ABSENT, PARTS, STANDING
 from densecavoid.sim.sensors import SensorSuite
 from densecavoid.sim.spec import Scenario, WorldSpec
@@ -42,6 +43,8 @@ class Simulator:
         self._state = allocate(num_worlds, 0, 0, 0, 0)
         self._recordings = no_recordings()
         self._known_recordings: list[Recording] = []
+        self._known_meshes: list[Mesh] = []
+        self._meshes: MeshSet | None = None
         self._replay_reactive = np.zeros(num_worlds, np.bool_)
         self._sensors = SensorSuite(self.config, num_worlds)
 
@@ -64,6 +67,7 @@ class Simulator:
         self._run(
             kernels.begin,
             self._recordings,
+            self._meshes,
             self._replay_reactive,
             which,
             self.config.robot.height_m,
@@ -85,6 +89,7 @@ class Simulator:
         self._run(
             kernels.advance,
             self._recordings,
+            self._meshes,
             self._replay_reactive,
             velocities,
             self.config.dynamics == "dynamic",
@@ -102,7 +107,7 @@ class Simulator:
         Sensors with a latency or a rate of their own, and drifting odometry, remember what they measured when this was
         called: call it once each control step.
         """
-        scan_m, depth_m, odom_pose = self._sensors.sense(self._state, which)
+        scan_m, depth_m, odom_pose = self._sensors.sense(self._state, which, self._meshes)
         return SensorFrame(
             time_s=self.time_s,
             scan_m=scan_m,
@@ -121,7 +126,7 @@ class Simulator:
                 latency play no part.
         """
         which = np.ones(self.num_worlds, np.bool_) if which is None else which
-        return take_images(self._state, camera or self.config.camera, which, self.config.threads)
+        return take_images(self._state, camera or self.config.camera, which, self.config.threads, self._meshes)
 
     # -- what happened -------------------------------------------------------------------------------------------------
 
@@ -238,6 +243,8 @@ class Simulator:
         pillars = state.cylinders[b, PARTS * state.pos.shape[1] : state.num_cylinders[b]].tolist()
         for row, number in zip(pillars, state.cylinder_material[b], strict=False):
             plan.pillar(*row, material=MATERIALS[number].name)
+        for number, x, y, z, cos, sin in state.meshes[b, : state.num_meshes[b]].tolist():
+            plan.mesh(self._known_meshes[int(number)], x, y, float(np.arctan2(sin, cos)), z)
         return plan
 
     def body_cylinders(self, b: int) -> Float[np.ndarray, "P parts 5"]:
@@ -248,7 +255,8 @@ class Simulator:
     def nearest_surface_m(self, b: int, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
         """Distance from each point to the nearest surface in world b that the robot could hit."""
         top = self.config.robot.height_m
-        return np.array([kernels.nearest_surfaces(self._state, b, x, y, top)[0] for x, y in points])
+        meshes = self._meshes
+        return np.array([kernels.nearest_surfaces(self._state, b, x, y, top, meshes)[0] for x, y in points])
 
     @property
     def bytes_per_world(self) -> int:
@@ -268,11 +276,16 @@ class Simulator:
         """Goes on from a `state_dict` of a simulator with as many worlds.
 
         Raises:
-            ValueError: if the number of worlds differs, or a world replays a recording that this simulator has not met.
+            ValueError: if the number of worlds differs, or a world replays a recording or shows a mesh that this
+                simulator has not met.
         """
         require(len(arrays["goal"]) == self.num_worlds, "saved worlds", len(arrays["goal"]), str(self.num_worlds))
         latest = int(arrays["recording"].max())
         require(latest < len(self._known_recordings), "saved recording", latest, "one that was loaded before")
+        known = len(self._known_meshes)
+        for places, count in zip(arrays["meshes"], arrays["num_meshes"], strict=True):
+            latest = int(places[:count, 0].max(initial=-1))
+            require(latest < known, "saved mesh", latest, "one that was loaded before")
         self._state = WorldState(**{name: np.array(arrays[name]) for name in WorldState._fields})
         self.scenario_name = [str(name) for name in arrays["scenario_name"]]
         self._replay_reactive = np.array(arrays["replay_reactive"])
@@ -292,9 +305,11 @@ class Simulator:
 
     def _fill(self, b: int, spec: WorldSpec, rng: np.random.Generator) -> None:
         plan, crowd = spec.floor_plan.packed(), spec.crowd
-        check_can_begin(spec, plan, self.config.robot.height_m)
-        boxes, cylinders = plan.boxes, plan.cylinders
-        self._state = with_room(self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints))
+        check_can_begin(spec, self.config.robot.height_m)
+        boxes, cylinders, places = plan.boxes, plan.cylinders, spec.floor_plan.meshes
+        self._state = with_room(
+            self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints), len(places)
+        )
         state = self._state
         slots = capacity(state)[0]
         self.scenario_name[b] = spec.scenario
@@ -320,6 +335,8 @@ class Simulator:
         state.num_glass[b] = plan.num_glass
         state.cylinder_material[b, : len(cylinders)] = plan.cylinder_material
         state.ceiling_m[b] = spec.floor_plan.ceiling_m
+        state.num_meshes[b] = len(places)
+        state.meshes[b, : len(places)] = place_rows(places, [self._mesh_number(place.mesh) for place in places])
 
         waits = spec.appearance is not None
         state.behaviour[b] = ABSENT
@@ -365,6 +382,13 @@ class Simulator:
             state.notices_robot[b] = reactive
             state.recording[b] = self._recording_index(spec.replay.recording)
             state.recording_step[b] = round(spec.replay.start_s / self.config.physics_dt_s)
+
+    def _mesh_number(self, mesh: Mesh) -> int:
+        """The mesh's place in the simulator's set, into which it is taken at first sight."""
+        if mesh not in self._known_meshes:
+            self._known_meshes.append(mesh)
+            self._meshes = mesh_set(tuple(self._known_meshes))
+        return self._known_meshes.index(mesh)
 
     def _recording_index(self, recording: Recording) -> int:
         """The recording's place in the simulator's set, into which it is taken at first sight."""

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.mesh_contact import GROUND_M
 from densecavoid.sim.people import half_depth
 from densecavoid.viz import theme
 
@@ -260,5 +261,13 @@ def _outlines(plan: FloorPlan) -> list[tuple[Float[np.ndarray, "n 2"], theme.Col
             drawn.append((1, outline, theme.TABLE_TOP, theme.TABLE_EDGE))
         else:
             drawn.append((2, outline, theme.FURNITURE, theme.FURNITURE_EDGE))
+    for place in plan.meshes:
+        cos, sin = math.cos(place.yaw), math.sin(place.yaw)
+        corners = place.mesh.triangles.astype(np.float64)
+        z_min, z_max = corners[..., 2].min(axis=1) + place.z, corners[..., 2].max(axis=1) + place.z
+        for triangle in corners[(z_min < WALL_HEIGHT_M) & (z_max > GROUND_M), :, :2]:
+            outline = triangle @ np.array([[cos, sin], [-sin, cos]]) + (place.x, place.y)
+            drawn.append((2, outline, theme.FURNITURE, theme.FURNITURE))
+
     drawn.sort(key=lambda entry: entry[0])
     return [(outline, fill, edge) for _, outline, fill, edge in drawn]

@@ -12,7 +12,6 @@ from PIL import Image, ImageDraw
 
 from densecavoid.frames import RobotConfig
 from densecavoid.scenarios import PLACES, TESTING, TRAINING
-from densecavoid.sim.people import STANDING
 from densecavoid.sim.spec import Scenario, WorldSpec
 from densecavoid.viz import theme
 from densecavoid.viz.scene import Canvas, Extent
@@ -50,9 +49,7 @@ def world_picture(spec: WorldSpec, width_px: int, height_px: int) -> Image.Image
         offset = crowd.goal - crowd.pos
         heading = np.arctan2(offset[:, 1], offset[:, 0]) if crowd.heading_rad is None else crowd.heading_rad
         for k in range(crowd.size):
-            pace = 0.1 if crowd.behaviour[k] == STANDING else crowd.preferred_speed[k]
-            velocity = pace * np.array([math.cos(heading[k]), math.sin(heading[k])])
-            canvas.person(crowd.pos[k], velocity, float(crowd.radius_m[k]))
+            canvas.person(crowd.pos[k], float(heading[k]), float(crowd.radius_m[k]))
     return canvas.image()
 
 
