@@ -31,8 +31,9 @@ class Hits(NamedTuple):
 
 def lidar_rays(config: LidarConfig, pose: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
     """Origin [3] and unit directions [rays, 3] of a scanner on a robot at `pose`, in the world frame."""
-    bearing = pose[2] + config.angles_rad
-    return _mount(config, pose), np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
+    angles = config.angles_rad
+    turn = Rotation.from_euler("ZY", [pose[2], config.mount_pitch_rad])
+    return _mount(config, pose), turn.apply(np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1))
 
 
 def camera_rays(config: CameraConfig, pose: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:

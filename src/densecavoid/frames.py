@@ -34,6 +34,11 @@ class LidarConfig:
     mount_height_m: float = 0.26
     mount_x_m: float = 0.0
     """Ahead of the robot's centre."""
+    mount_pitch_rad: float = 0.0
+    """Turned about the robot's y axis: positive looks down ahead (REP-103)."""
+    sweep_s: float = 0.0667
+    """Time in which real scanners measure their rays, one after another (Hokuyo: 240 of 360 degrees in 100 ms); exact
+    ones measure all at once."""
     rate_hz: float = 0.0
     """Scans a second; 0 (or faster than the control) is a scan each control step."""
     latency_s: float = 0.0
@@ -50,10 +55,17 @@ class LidarConfig:
             "0 <= min_range_m < max_range_m",
         )
         require(self.mount_height_m > 0, "LidarConfig.mount_height_m", self.mount_height_m, "positive")
+        require(
+            abs(self.mount_pitch_rad) <= math.radians(80),
+            "LidarConfig.mount_pitch_rad",
+            self.mount_pitch_rad,
+            "at most 80 degrees either way",
+        )
+        require(0 <= self.sweep_s <= 1, "LidarConfig.sweep_s", self.sweep_s, "in [0, 1] s")
 
     @property
     def angles_rad(self) -> Float[np.ndarray, "rays"]:
-        """Bearing of each ray in the robot frame, counter-clockwise from -fov/2."""
+        """Angle of each ray in the scanner's plane, counter-clockwise from -fov/2: of a level one, its bearing."""
         return np.linspace(-self.fov_rad / 2, self.fov_rad / 2, self.num_rays)
 
 

@@ -4,22 +4,34 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from densecavoid.frames import RobotConfig
 from densecavoid.sim._jit import kernel
+from densecavoid.sim.clearance import clearances
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.geometry import (
+    BOX_COS,
     BOX_HALF_LENGTH,
     BOX_HALF_WIDTH,
+    BOX_SIN,
     BOX_X,
     BOX_Y,
+    BOX_Z_MAX,
+    BOX_Z_MIN,
+    CYL_RADIUS,
+    CYL_X,
+    CYL_Y,
+    CYL_Z_MAX,
+    CYL_Z_MIN,
     disc_offset,
     rectangle_offset,
 )
-from densecavoid.sim.mesh import mesh_set, place_rows
-from densecavoid.sim.mesh_contact import PERSON_TOP_M, lessen_clearances
+from densecavoid.sim.mesh_contact import lessen_by_meshes
+from densecavoid.sim.people import STEP_OVER_M, WALK_UNDER_M
 
 Area = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max."""
@@ -27,35 +39,77 @@ Area = tuple[float, float, float, float]
 _MAX_TRIES = 2000
 
 
-@kernel
-def _clearances(points, boxes, cylinders, limit, out):
-    for n in range(points.shape[0]):
-        x, y = points[n, 0], points[n, 1]
-        nearest = limit
-        for k in range(boxes.shape[0]):
-            box = boxes[k]
-            reach = box[BOX_HALF_LENGTH] + box[BOX_HALF_WIDTH] + nearest
-            if abs(x - box[BOX_X]) > reach or abs(y - box[BOX_Y]) > reach:
-                continue
-            distance, _, _ = rectangle_offset(x, y, box)
-            nearest = min(nearest, distance)
-        for k in range(cylinders.shape[0]):
-            distance, _, _ = disc_offset(x, y, cylinders[k])
-            nearest = min(nearest, distance)
-        out[n] = nearest
+Ground = Callable[[Float[np.ndarray, "N 2"]], Bool[np.ndarray, "N"]]
+"""Tells which points are places to be, where the plan alone does not (a map's unknown cells are not)."""
+
+Heights = tuple[float, float]
+"""What reaches above the first and begins below the second counts (m)."""
+FOR_ROBOT: Heights = (0.0, RobotConfig().height_m)
+FOR_PEOPLE: Heights = (STEP_OVER_M, WALK_UNDER_M)
 
 
-def clearances_m(plan: FloorPlan, points: Float[np.ndarray, "N 2"], limit_m: float = 10.0) -> Float[np.ndarray, "N"]:
+def clearances_m(
+    plan: FloorPlan, points: Float[np.ndarray, "N 2"], limit_m: float = 10.0, heights: Heights = FOR_ROBOT
+) -> Float[np.ndarray, "N"]:
     """Distance from each point to the nearest thing in the plan (negative inside); at most `limit_m`."""
     packed = plan.packed()
     out = np.empty(len(points))
     points = np.asarray(points, np.float64)
-    _clearances(points, packed.boxes, packed.cylinders, limit_m, out)
-    if plan.meshes:
-        meshes = tuple(dict.fromkeys(place.mesh for place in plan.meshes))
-        places = place_rows(plan.meshes, [meshes.index(place.mesh) for place in plan.meshes])
-        lessen_clearances(points, PERSON_TOP_M, places, mesh_set(meshes), out)
+    clearances(points, packed.boxes, packed.cylinders, *heights, limit_m, out)
+    lessen_by_meshes(plan.meshes, points, *heights, out)
     return out
+
+
+@kernel
+def _spread_clearances(grid, x0, y0, cell, boxes, cylinders, low, high):
+    """Lowers each cell of `grid` to its centre's distance to the nearest thing, thing by thing: few cells are near one.
+
+    On entry `grid` holds the limit beyond which distances do not matter.
+    """
+    limit = grid[0, 0]
+    for k in range(boxes.shape[0] + cylinders.shape[0]):
+        is_box = k < boxes.shape[0]
+        if is_box:
+            box = boxes[k]
+            if box[BOX_Z_MAX] <= low or box[BOX_Z_MIN] >= high:
+                continue
+            cos, sin = abs(box[BOX_COS]), abs(box[BOX_SIN])
+            x, y = box[BOX_X], box[BOX_Y]
+            reach_x = cos * box[BOX_HALF_LENGTH] + sin * box[BOX_HALF_WIDTH] + limit
+            reach_y = sin * box[BOX_HALF_LENGTH] + cos * box[BOX_HALF_WIDTH] + limit
+        else:
+            cylinder = cylinders[k - boxes.shape[0]]
+            if cylinder[CYL_Z_MAX] <= low or cylinder[CYL_Z_MIN] >= high:
+                continue
+            x, y = cylinder[CYL_X], cylinder[CYL_Y]
+            reach_x = reach_y = cylinder[CYL_RADIUS] + limit
+        first_row = max(0, math.floor((x - reach_x - x0) / cell))
+        last_row = min(grid.shape[0], math.ceil((x + reach_x - x0) / cell) + 1)
+        first_col = max(0, math.floor((y - reach_y - y0) / cell))
+        last_col = min(grid.shape[1], math.ceil((y + reach_y - y0) / cell) + 1)
+        for row in range(first_row, last_row):
+            for col in range(first_col, last_col):
+                at_x, at_y = x0 + (row + 0.5) * cell, y0 + (col + 0.5) * cell
+                if is_box:
+                    distance, _, _ = rectangle_offset(at_x, at_y, boxes[k])
+                else:
+                    distance, _, _ = disc_offset(at_x, at_y, cylinders[k - boxes.shape[0]])
+                grid[row, col] = min(grid[row, col], distance)
+
+
+def clearance_grid_m(
+    plan: FloorPlan, area: Area, cell_m: float, limit_m: float, heights: Heights = FOR_ROBOT
+) -> Float[np.ndarray, "X Y"]:
+    """Distance from the centres of an area's cells to the nearest thing (negative inside); at most `limit_m`."""
+    shape = [len(np.arange(area[axis] + cell_m / 2, area[axis + 2], cell_m)) for axis in (0, 1)]
+    grid = np.full(shape, limit_m)
+    packed = plan.packed()
+    _spread_clearances(grid, area[0], area[1], cell_m, packed.boxes, packed.cylinders, *heights)
+    if plan.meshes:
+        rows, cols = (area[axis] + (np.arange(shape[axis]) + 0.5) * cell_m for axis in (0, 1))
+        cells = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+        lessen_by_meshes(plan.meshes, cells, *heights, grid.reshape(-1))
+    return grid
 
 
 def free_points(
@@ -125,12 +179,15 @@ def clear_path(
     area: Area,
     clearance_m: float,
     cell_m: float = 0.1,
+    ground: Ground | None = None,
 ) -> Float[np.ndarray, "N 2"] | None:
     """The shortest way from start to goal over grid cells that are `clearance_m` from things; None without one."""
     xs = np.arange(area[0] + cell_m / 2, area[2], cell_m)
     ys = np.arange(area[1] + cell_m / 2, area[3], cell_m)
     grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
-    free = (clearances_m(plan, grid, limit_m=clearance_m) >= clearance_m).reshape(len(xs), len(ys))
+    free = clearance_grid_m(plan, area, cell_m, clearance_m) >= clearance_m
+    if ground is not None:
+        free &= ground(grid).reshape(free.shape)
 
     def cell_of(point: tuple[float, float]) -> int:
         row = int(np.clip((point[0] - area[0]) / cell_m, 0, len(xs) - 1))

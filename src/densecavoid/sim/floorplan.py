@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -15,6 +17,7 @@ from densecavoid.sim.mesh import Mesh, MeshPlace
 
 WALL_HEIGHT_M = 2.5
 WALL_THICKNESS_M = 0.1
+DOOR_HEIGHT_M = 2.1
 
 
 class PackedPlan(NamedTuple):
@@ -41,6 +44,8 @@ class FloorPlan:
     _box_material: list[int] = field(default_factory=list)
     _cylinder_material: list[int] = field(default_factory=list)
     _meshes: list[MeshPlace] = field(default_factory=list)
+    _packed: tuple[tuple[int, int], PackedPlan] | None = field(default=None, compare=False, repr=False)
+    """The last packing and how much it held: a plan only grows."""
 
     def __post_init__(self) -> None:
         require(self.ceiling_m > 0, "FloorPlan.ceiling_m", self.ceiling_m, "positive, inf outdoors")
@@ -70,8 +75,39 @@ class FloorPlan:
         """Triangle meshes and where they stand."""
         return list(self._meshes)
 
+    def copy(self) -> FloorPlan:
+        """A plan of the same things that grows by itself."""
+        twin = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, list):
+                setattr(twin, name, list(value))
+        return twin
+
+    def cropped(self, x_min: float, y_min: float, x_max: float, y_max: float) -> FloorPlan:
+        """A plan of the boxes and pillars that reach into a rectangle, or nearly."""
+        low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+
+        def inside(rows: Float[np.ndarray, "n k"], reach: Float[np.ndarray, "n"]) -> list[int]:
+            near = (rows[:, :2] + reach[:, None] >= low) & (rows[:, :2] - reach[:, None] <= high)
+            return np.flatnonzero(near.all(axis=1)).tolist()
+
+        part = self.copy()
+        boxes = inside(self.boxes, np.hypot(self.boxes[:, 3], self.boxes[:, 4]))
+        pillars = inside(self.cylinders, self.cylinders[:, 2])
+        part._boxes, part._box_material = [self._boxes[k] for k in boxes], [self._box_material[k] for k in boxes]
+        part._cylinders = [self._cylinders[k] for k in pillars]
+        part._cylinder_material = [self._cylinder_material[k] for k in pillars]
+        part._packed = None
+        return part
+
     def packed(self) -> PackedPlan:
-        """Everything, for the kernels."""
+        """Everything, for the kernels. Not to be written to."""
+        size = len(self._boxes), len(self._cylinders)
+        if self._packed is None or self._packed[0] != size:
+            self._packed = size, self._pack()
+        return self._packed[1]
+
+    def _pack(self) -> PackedPlan:
         material = np.array(self._box_material, np.uint8)
         order = np.argsort(material == GLASS, kind="stable")
         boxes, material = self.boxes[order], material[order]
@@ -149,18 +185,44 @@ class FloorPlan:
         y1: float,
         thickness: float = WALL_THICKNESS_M,
         material: str = "plaster",
+        doors: Sequence[tuple[float, float]] = (),
     ) -> None:
-        """A wall whose centre line runs from (x0, y0) to (x1, y1); of glass with that material."""
-        self.box(
-            (x0 + x1) / 2,
-            (y0 + y1) / 2,
-            math.hypot(x1 - x0, y1 - y0) + thickness,
-            thickness,
-            math.atan2(y1 - y0, x1 - x0),
-            0.0,
-            WALL_HEIGHT_M,
-            material,
-        )
+        """A wall whose centre line runs from (x0, y0) to (x1, y1); of glass with that material.
+
+        Args:
+            x0: start.
+            y0: start.
+            x1: end.
+            y1: end.
+            thickness: of the wall, by which its ends reach beyond the line's (half each).
+            material: of the wall.
+            doors: (distance of the door's middle from the start, clear width) of each, with a lintel above it.
+
+        Raises:
+            ValueError: if a door reaches beyond the wall or into another door.
+        """
+        length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
+
+        def part(begin: float, end: float, z_min: float = 0.0) -> None:
+            at = (begin + end) / 2
+            x, y = x0 + at * math.cos(yaw), y0 + at * math.sin(yaw)
+            self.box(x, y, end - begin, thickness, yaw, z_min, WALL_HEIGHT_M, material)
+
+        if not doors:
+            x, y = (x0 + x1) / 2, (y0 + y1) / 2
+            self.box(x, y, length + thickness, thickness, yaw, 0.0, WALL_HEIGHT_M, material)
+            return
+        begin = -thickness / 2
+        for at, width in sorted(doors):
+            require(width > 0, "door width", width, "positive")
+            fits = begin <= at - width / 2 and at + width / 2 <= length + thickness / 2
+            require(fits, "door (distance, width)", (at, width), f"inside a wall of {length:g} m, clear of other doors")
+            if at - width / 2 > begin + 1e-6:
+                part(begin, at - width / 2)
+            part(at - width / 2, at + width / 2, DOOR_HEIGHT_M)
+            begin = at + width / 2
+        if begin < length + thickness / 2 - 1e-6:
+            part(begin, length + thickness / 2)
 
     def room(self, x_min: float, y_min: float, x_max: float, y_max: float) -> None:
         """Four walls whose inner faces are the given rectangle."""

@@ -18,12 +18,14 @@ from densecavoid.sim.geometry import (
     BOX_Y,
     BOX_Z_MIN,
     CYL_RADIUS,
+    CYL_X,
+    CYL_Y,
     CYL_Z_MIN,
     disc_offset,
     rectangle_offset,
 )
-from densecavoid.sim.lidar import scan
-from densecavoid.sim.mesh_contact import FORCE_REACH_M, nearest_mesh, part_people_from_meshes
+from densecavoid.sim.lidar import scan, turn_rays
+from densecavoid.sim.mesh_contact import FORCE_REACH_M, GROUND_M, nearest_mesh, part_people_from_meshes
 from densecavoid.sim.mesh_rays import mesh_depth, mesh_scan
 from densecavoid.sim.people import ABSENT, PARTS, STANDING, place_body, remove_body
 from densecavoid.sim.robot import drive, limit_change
@@ -32,24 +34,29 @@ _FAULT_SPEED = 0.1  # m/s towards the person in the last .5 s (BENCHMARK, Real c
 
 
 @inner
+def _place(state, b, i):
+    """Puts the cylinders of person i in world b where they are now."""
+    vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
+    place_body(
+        state.cylinders[b, PARTS * i : PARTS * (i + 1)],
+        state.pos[b, i, 0],
+        state.pos[b, i, 1],
+        state.heading[b, i],
+        math.sqrt(vx * vx + vy * vy),
+        state.phase[b, i],
+        state.radius[b, i],
+        state.height[b, i],
+    )
+
+
+@inner
 def place_bodies(state, b):
     """Puts the cylinders of everybody in world b where they are now."""
     for i in range(state.pos.shape[1]):
-        parts = state.cylinders[b, PARTS * i : PARTS * (i + 1)]
         if state.behaviour[b, i] == ABSENT:
-            remove_body(parts)
-            continue
-        vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
-        place_body(
-            parts,
-            state.pos[b, i, 0],
-            state.pos[b, i, 1],
-            state.heading[b, i],
-            math.sqrt(vx * vx + vy * vy),
-            state.phase[b, i],
-            state.radius[b, i],
-            state.height[b, i],
-        )
+            remove_body(state.cylinders[b, PARTS * i : PARTS * (i + 1)])
+        else:
+            _place(state, b, i)
 
 
 @kernel
@@ -80,7 +87,7 @@ def nearest_surfaces(state, b, x, y, top, meshes):
         nearest = min(nearest, distance)
     if meshes is not None:
         places = state.meshes[b, : state.num_meshes[b]]
-        nearest, _, _ = nearest_mesh(x, y, top, nearest, places, meshes)
+        nearest, _, _ = nearest_mesh(x, y, GROUND_M, top, nearest, places, meshes)
     return nearest, nearest_person, slot
 
 
@@ -90,24 +97,27 @@ def _appear(state, b, time_s):
     x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
     if math.hypot(x - state.start_pose[b, 0], y - state.start_pose[b, 1]) < state.trigger_distance[b]:
         return
-    ahead = 0.0
+    ahead = 0.0  # how far the line must be for nobody's surface to be nearer than asked for
     for i in range(state.pos.shape[1]):
-        if state.person_id[b, i] >= 0:
-            reach = state.appear_distance[b] + state.radius[b, i]
-            aside = state.pos[b, i, 1] - y
+        if state.person_id[b, i] < 0:
+            continue
+        state.behaviour[b, i], state.heading[b, i] = STANDING, math.pi
+        state.pos[b, i, 0] = 0.0
+        _place(state, b, i)
+        for part in state.cylinders[b, PARTS * i : PARTS * (i + 1)]:
+            reach, aside = state.appear_distance[b] + part[CYL_RADIUS], part[CYL_Y] - y
             if abs(aside) < reach:
-                ahead = max(ahead, math.sqrt(reach * reach - aside * aside))
+                ahead = max(ahead, math.sqrt(reach * reach - aside * aside) - part[CYL_X])
     for i in range(state.pos.shape[1]):
         if state.person_id[b, i] >= 0:
             state.pos[b, i, 0] = x + ahead
-            state.behaviour[b, i] = STANDING
-            state.heading[b, i] = math.pi
     state.spawn_time[b], state.spawn_line_x[b] = time_s, x + ahead
 
 
 @inner
-def _move_crowd(state, b, recordings, meshes, sub_step, replay_reactive, robot_radius, dt):
-    intended = np.zeros((state.pos.shape[1], 2))
+def _move_crowd(state, b, scratch, recordings, meshes, sub_step, replay_reactive, robot_radius, dt):
+    intended, new_vel = scratch[0], scratch[1]
+    intended[:] = 0.0
     if state.recording[b] >= 0:
         follow_recording(state, b, recordings, sub_step, replay_reactive[b], intended, dt)
         if not replay_reactive[b]:
@@ -116,7 +126,7 @@ def _move_crowd(state, b, recordings, meshes, sub_step, replay_reactive, robot_r
         intend_scripted(state, b, intended, dt)
     if meshes is not None:
         part_people_from_meshes(state, b, meshes, intended, FORCE_REACH_M)
-    move_people(state, b, intended, robot_radius, dt)
+    move_people(state, b, intended, new_vel, robot_radius, dt)
     if meshes is not None:
         part_people_from_meshes(state, b, meshes, intended, 0.0)
 
@@ -152,6 +162,7 @@ def advance(
     dt,
 ):
     """One control step of `sub_steps` x `dt` s for worlds first to last - 1; ends early at a collision or the goal."""
+    scratch = np.empty((2, state.pos.shape[1], 2))
     for b in range(first, last):
         if dynamic:
             linear, angular = state.pending_command[b]
@@ -164,7 +175,7 @@ def advance(
         nearest_person, slot = np.inf, -1
         for s in range(sub_steps):
             tick = state.step_count[b] * sub_steps + s + 1
-            _move_crowd(state, b, recordings, meshes, tick, replay_reactive, robot_radius, dt)
+            _move_crowd(state, b, scratch, recordings, meshes, tick, replay_reactive, robot_radius, dt)
             if dynamic:
                 velocity[0] = limit_change(velocity[0], linear, max_linear_acc * dt)
                 velocity[1] = limit_change(velocity[1], angular, max_angular_acc * dt)
@@ -206,56 +217,114 @@ def begin(first, last, state, recordings, meshes, replay_reactive, which, robot_
         state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height, meshes)
 
 
+@inner
+def _scan_world(state, b, ranges, hits, ray_x, ray_y, lidar):
+    x, y, yaw = state.robot_pose[b]
+    pose = (x + math.cos(yaw) * lidar.ahead, y + math.sin(yaw) * lidar.ahead, yaw)
+    motion = (state.robot_velocity[b, 0], state.robot_velocity[b, 1])
+    boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
+    cylinders = state.cylinders[b, : state.num_cylinders[b]]
+    first_box = state.cylinders.shape[1]
+    ceiling = state.ceiling_m[b]
+    scan(ranges, hits, lidar, ray_x, ray_y, pose, motion, ceiling, boxes, cylinders, state.vel[b], first_box)
+
+
 @kernel
-def sense(first, last, state, which, scans, images, lidar, camera):
-    """Lidar scans [B, rays] and depth images [B, height, width] of the worlds marked in `which`."""
+def sense_level(first, last, state, which, scans, images, lidar, camera, scan_most, least, most):
+    """What exact sensors with a level camera measure in the marked worlds: the fast way.
+
+    Args:
+        scans: [B, rays] gets ranges up to `scan_most`, inf beyond.
+        images: [B, height, width] gets depths from `least` to `most`, NaN elsewhere.
+    """
     columns = np.empty((camera.column_slope.shape[0], camera.row_slope.shape[0]), np.float32)
+    hits = np.empty(scans.shape[1], np.int32)
     for b in range(first, last):
         if not which[b]:
+            continue
+        _scan_world(state, b, scans[b], hits, lidar.ray_x, lidar.ray_y, lidar)
+        for r in range(scans.shape[1]):
+            scans[b, r] = scans[b, r] if scans[b, r] <= scan_most else np.float32(np.inf)
+        x, y, yaw = state.robot_pose[b]
+        camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
+        boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
+        cylinders = state.cylinders[b, : state.num_cylinders[b]]
+        ceiling = state.ceiling_m[b]
+        render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders, least, most)
+
+
+@kernel
+def sense_hits(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera):
+    """The same for any camera and for scanners that sweep, however far, with what each ray meets.
+
+    Args:
+        scan_hits: i32 [B, rays] gets numbers of solids (geometry.py).
+        image_hits: i32 [B, height, width] alike.
+    """
+    ray_x, ray_y = lidar.ray_x.copy(), lidar.ray_y.copy()
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        if lidar.start < 0.0:
+            turn_rays(lidar, state.robot_velocity[b, 1], ray_x, ray_y)
+        _scan_world(state, b, scans[b], scan_hits[b], ray_x, ray_y, lidar)
+        picture(state, b, images[b], image_hits[b], camera)
+
+
+@inner
+def picture(state, b, image, hits, camera):
+    """Depths, however far, of world b as the camera on its robot sees it, and what each pixel shows."""
+    x, y, yaw = state.robot_pose[b]
+    camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
+    boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
+    cylinders = state.cylinders[b, : state.num_cylinders[b]]
+    first_box, ceiling = state.cylinders.shape[1], state.ceiling_m[b]
+    render_depth(image, hits, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders, first_box)
+
+
+@kernel
+def sense_meshes(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera, meshes):
+    """Adds what `meshes` (a `MeshSet`) the rays of `sense_hits` meet before all else."""
+    ray_x, ray_y = lidar.ray_x.copy(), lidar.ray_y.copy()
+    start_x, start_y = np.zeros(ray_x.shape[0], np.float32), np.zeros(ray_x.shape[0], np.float32)
+    for b in range(first, last):
+        if not which[b] or state.num_meshes[b] == 0:
             continue
         x, y, yaw = state.robot_pose[b]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        boxes = state.boxes[b, : state.num_boxes[b]]
-        cylinders = state.cylinders[b, : state.num_cylinders[b]]
-        lidar_x, lidar_y = x + cos * lidar.ahead, y + sin * lidar.ahead
-        scan(scans[b], lidar, lidar_x, lidar_y, yaw, boxes, cylinders)
-        camera_x, camera_y = x + cos * camera.ahead, y + sin * camera.ahead
-        if camera.pitch == 0.0:
-            render_level_depth(
-                images[b], columns, camera, camera_x, camera_y, yaw, state.ceiling_m[b], boxes, cylinders
-            )
-        else:
-            render_depth(images[b], camera, camera_x, camera_y, yaw, state.ceiling_m[b], boxes, cylinders)
+        if lidar.start < 0.0:
+            linear, angular = state.robot_velocity[b]
+            turn_rays(lidar, angular, ray_x, ray_y)
+            for r in range(ray_x.shape[0]):
+                time = lidar.start + lidar.interval * r
+                start_x[r], start_y[r] = linear * time, angular * lidar.ahead * time
+        number = state.cylinders.shape[1] + state.boxes.shape[1]
+        places = state.meshes[b, : state.num_meshes[b]]
+        pose = (x + math.cos(yaw) * lidar.ahead, y + math.sin(yaw) * lidar.ahead, lidar.height, yaw)
+        rays, reach = (ray_x, ray_y, lidar.ray_z, start_x, start_y), float(lidar.max_range)
+        mesh_scan(scans[b], scan_hits[b], number, *pose, *rays, reach, places, meshes)
+        picture_meshes(state, b, images[b], image_hits[b], camera, meshes)
+
+
+@inner
+def picture_meshes(state, b, image, hits, camera, meshes):
+    """The same for a `picture`."""
+    x, y, yaw = state.robot_pose[b]
+    number = state.cylinders.shape[1] + state.boxes.shape[1]
+    places = state.meshes[b, : state.num_meshes[b]]
+    pose = (x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead, camera.height, yaw)
+    optics = (camera.column_slope, camera.row_slope, camera.pitch, float(camera.max_range))
+    mesh_depth(image, hits, number, *pose, *optics, places, meshes)
 
 
 @kernel
-def sense_meshes(first, last, pose, all_places, num_places, which, scans, images, lidar, camera, meshes):
-    """Adds meshes to what `sense` measured with an upper limit but no lower one, and applies the lower one."""
-    no_hits, no_pixels, no_starts = np.empty(0, np.int32), np.empty((0, 0), np.int32), np.empty(0, np.float32)
-    level = np.zeros(lidar.ray_x.shape[0], np.float32)
+def limit_ranges(first, last, which, scans, images, scan_most, least, most):
+    """Leaves out what is out of range: inf in scans, NaN in images."""
     for b in range(first, last):
         if not which[b]:
             continue
-        x, y, yaw = pose[b]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        places = all_places[b, : num_places[b]]
-        ranges, image = scans[b], images[b]
-        if places.shape[0] > 0:
-            for row in image:
-                for c in range(row.shape[0]):
-                    row[c] = np.float32(np.inf) if np.isnan(row[c]) else row[c]
-            lidar_x, lidar_y = x + cos * lidar.ahead, y + sin * lidar.ahead
-            mesh_scan(
-                ranges, no_hits, 0, lidar_x, lidar_y, lidar.height, yaw, lidar.ray_x, lidar.ray_y, level,
-                no_starts, no_starts, float(lidar.max_range), places, meshes,
-            )  # fmt: skip
-            camera_x, camera_y = x + cos * camera.ahead, y + sin * camera.ahead
-            mesh_depth(
-                image, no_pixels, 0, camera_x, camera_y, camera.height, yaw, camera.column_slope, camera.row_slope,
-                camera.pitch, float(camera.max_range), places, meshes,
-            )  # fmt: skip
-            for r in range(ranges.shape[0]):
-                ranges[r] = ranges[r] if ranges[r] <= lidar.max_range else np.float32(np.inf)
-        for row in image:
-            for c in range(row.shape[0]):
-                row[c] = row[c] if (row[c] >= camera.min_range) & (row[c] <= camera.max_range) else np.float32(np.nan)
+        for r in range(scans.shape[1]):
+            scans[b, r] = scans[b, r] if scans[b, r] <= scan_most else np.float32(np.inf)
+        for v in range(images.shape[1]):
+            for u in range(images.shape[2]):
+                t = images[b, v, u]
+                images[b, v, u] = t if (t >= least) & (t <= most) else np.float32(np.nan)

@@ -88,7 +88,7 @@ def mesh_scan(
     Args:
         ranges: raw distances so far; inf where nothing is met.
         hits: i32 [rays], gets `first_hit_number` + the number of the triangle met (counted through all `places`, see
-            `triangle_of_hit`); of length 0 if nobody wants to know.
+            `triangle_of_hit`).
         x, y, z, yaw: the scanner in the world.
         dir_x, dir_y, dir_z: f32 [rays] unit directions turned by `yaw`, in order of their bearing, counter-clockwise.
         start_x, start_y: f32 [rays] where each ray starts, from (x, y) and turned by `yaw` too, for a scanner in
@@ -96,8 +96,6 @@ def mesh_scan(
         places: f64 [M, 6] (mesh.PLACE_...), meshes: the `MeshSet` they are numbered in.
     """
     num_rays = ranges.shape[0]
-    if hits.shape[0] == 0:
-        hits = np.empty(num_rays, np.int32)
     if start_x.shape[0] == 0:
         start_x = start_y = np.zeros(num_rays, np.float32)
     # The plane that the rays lie in (a scanner's do, whatever its pitch), and how far any ray leaves it.
@@ -238,14 +236,12 @@ def mesh_depth(image, hits, first_hit_number, x, y, z, yaw, column_slope, row_sl
 
     Args:
         image: raw depths along the optical axis so far; inf where nothing is met.
-        hits: i32 [height, width] as in `mesh_scan`; without rows if nobody wants to know.
+        hits: i32 [height, width] as in `mesh_scan`.
         x, y, z, yaw, pitch: the camera in the world (pitch down).
         column_slope, row_slope: f32, evenly spaced, of each column to the left and of each row upwards.
         places: f64 [M, 6] (mesh.PLACE_...), meshes: the `MeshSet` they are numbered in.
     """
     rows, columns = image.shape
-    if hits.shape[0] == 0:
-        hits = np.empty((rows, columns), np.int32)
     to_left, to_right, up, down = column_slope[0], column_slope[-1], row_slope[0], row_slope[-1]
     per_column, per_row = (columns - 1) / (to_left - to_right), (rows - 1) / (up - down)
     cos_pitch, sin_pitch = math.cos(pitch), math.sin(pitch)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.frames import CameraConfig, LidarConfig, require
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class SensorNoiseConfig:
     """Full width of the beam: a spot of 40 mm at 4 m (URG-04LX-UG01 datasheet). A beam on an edge gives a range between
     the two surfaces (mixed pixel: Okubo, Ye, Borenstein, Proc. SPIE 7332, 2009)."""
     lidar_dropout: float = 0.005
-    """Share of rays without a return. Dark and shiny surfaces lose far more (Kneip et al., ICRA 2009); surfaces have no
-    reflectivity here, so this is an assumed mean."""
+    """Share of rays without a return. An assumed mean; what
+    dark and grazing surfaces lose comes on top (returns.py)."""
     camera_floor_m: float = 0.0012
     camera_per_m2: float = 0.0019
     """Depth noise floor + per_m2 (z - .4 m)^2 of structured light (Nguyen, Izadi, Lovell, 3DIMPVT 2012, frontal)."""
@@ -43,6 +43,19 @@ class SensorNoiseConfig:
     """Sideways jitter of depth edges, in pixels of a 640 px wide image (Nguyen et al.: .8 to .9 px)."""
     camera_dropout: float = 0.01
     """Share of pixels without depth; assumed, as with the lidar."""
+    lidar_reach: float = 1.6
+    """Distance at which a surface of reflectance 1 seen straight on is just measured, as a multiple of the range for
+    which the scanner is sold; 0: nothing is ever too dark. Assumed: four metres are promised on white paper, and black
+    things vanish beyond 1 to 1.5 m (Kneip et al., ICRA 2009)."""
+    camera_reach_m: float = 12.0
+    """The same of the depth camera, in metres. Assumed."""
+    lidar_glass: float = 0.95
+    """Chance that a beam along a pane's normal returns from the pane. Assumed: panes are seen within some degrees of
+    the normal and hardly elsewhere (Foster, Sun, Park, Kuipers, ICRA 2013)."""
+    camera_glass: float = 0.3
+    """The same of the depth camera's light. Assumed."""
+    glass_angle_rad: float = 0.14
+    """Angle from the normal at which these chances are down to 1/e, as exp(-(angle / this)^2): 8 degrees, assumed."""
     odometry_scale: float = 0.01
     """Share by which an episode's distances are wrong. UMBmark squares of 16 m end .3 m off before calibration and
     .03 m after (Borenstein, Feng, IEEE Trans. Robotics and Automation 12, 1996); between the two."""
@@ -55,7 +68,7 @@ class SensorNoiseConfig:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
             require(value >= 0 and math.isfinite(value), f"SensorNoiseConfig.{name}", value, "0 or more, and finite")
-        for name in ("lidar_dropout", "camera_dropout"):
+        for name in ("lidar_dropout", "camera_dropout", "lidar_glass", "camera_glass"):
             require(getattr(self, name) <= 1, f"SensorNoiseConfig.{name}", getattr(self, name), "at most 1")
 
 
@@ -133,8 +146,8 @@ _JUMP = 0.1  # neighbouring values that differ by more than this share of the ne
 _SCAN, _IMAGE, _ODOMETRY = 1, 2, 3  # one stream of random numbers each
 
 
-@kernel
-def _hash(key, index):
+@inner
+def hash_of(key, index):
     """64 bits that look random, the same for the same key and index (splitmix64)."""
     z = np.uint64(key) + (np.uint64(index) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -142,13 +155,13 @@ def _hash(key, index):
     return z ^ (z >> np.uint64(31))
 
 
-@kernel
-def _key(seed, step, stream):
+@inner
+def sensor_key(seed, step, stream):
     """The key of one sensor at one step of one world's episode."""
-    return _hash(_hash(seed, step), stream)
+    return hash_of(hash_of(seed, step), stream)
 
 
-@kernel
+@inner
 def _normal(bits):
     """About normal, mean 0 and variance 1, never beyond 3.5: the sum of four 16-bit uniform numbers."""
     low = np.uint64(0xFFFF)
@@ -157,19 +170,19 @@ def _normal(bits):
     return (total - 131070.0) / 37837.22728
 
 
-@kernel
-def _share(bits):
+@inner
+def share_of(bits):
     """Uniform in [0, 1), from the upper half of the bits."""
     return np.int64(bits >> np.uint64(32)) / 4294967296.0
 
 
-@kernel
+@inner
 def _other_share(bits):
     """Uniform in [0, 1), from the lower half of the bits."""
     return np.int64(bits & np.uint64(0xFFFFFFFF)) / 4294967296.0
 
 
-@kernel
+@inner
 def _is_edge(here, there):
     return abs(here - there) > _JUMP * min(here, there)
 
@@ -181,21 +194,21 @@ def spoil_scan(ranges, clean, key, noise):
     count = ranges.shape[0]
     for r in range(count):
         exact = clean[r]
-        bits = _hash(key, 2 * r)
-        if exact == np.inf or _share(bits) < noise.dropout:
+        bits = hash_of(key, 2 * r)
+        if exact == np.inf or share_of(bits) < noise.dropout:
             ranges[r] = np.inf
             continue
-        chance = _hash(key, 2 * r + 1)
+        chance = hash_of(key, 2 * r + 1)
         value = float(exact)
         for side in (1, -1):
             if not 0 <= r + side < count:
                 continue
             beyond = clean[r + side]
-            cut = (_share(chance) if side == 1 else _other_share(chance)) < noise.mixed
+            cut = (share_of(chance) if side == 1 else _other_share(chance)) < noise.mixed
             if cut and beyond < np.inf and _is_edge(exact, beyond):
                 value += 0.5 * _other_share(bits) * (beyond - exact)  # less than half of the beam is beyond the edge
                 break
-        value += noise.range_share * max(value, 1.0) * _normal(_hash(chance, r))
+        value += noise.range_share * max(value, 1.0) * _normal(hash_of(chance, r))
         if noise.step > 0.0:
             value = noise.step * round(value / noise.step)
         ranges[r] = value if noise.min_range <= value <= noise.max_range else np.inf
@@ -218,27 +231,27 @@ def spoil_depth(image, key, noise):
             hidden = projected > covered + 0.5
             covered = min(covered, projected)
             pixel = v * width + u
-            bits = _hash(key, 2 * pixel)
-            if hidden or _share(bits) < noise.dropout:
+            bits = hash_of(key, 2 * pixel)
+            if hidden or share_of(bits) < noise.dropout:
                 image[v, u] = np.nan
                 continue
-            chance = _hash(key, 2 * pixel + 1)
+            chance = hash_of(key, 2 * pixel + 1)
             value = float(exact)
             if _other_share(bits) < 2.0 * noise.swapped:
-                other = left if _share(chance) < 0.5 else beside
+                other = left if share_of(chance) < 0.5 else beside
                 if not np.isnan(other) and _is_edge(exact, other):
                     value = float(other)
-            value += (noise.floor + noise.per_m2 * (value - 0.4) ** 2) * _normal(_hash(chance, u))
+            value += (noise.floor + noise.per_m2 * (value - 0.4) ** 2) * _normal(hash_of(chance, u))
             if noise.disparity_step > 0.0:
                 value = 1.0 / (noise.disparity_step * max(round(1.0 / (value * noise.disparity_step)), 1.0))
             image[v, u] = value if noise.min_range <= value <= noise.max_range else np.nan
 
 
-@kernel
+@inner
 def drift(odometry, last_pose, pose, key, seed, noise):
     """Moves `odometry` (x, y, yaw) as the wheels report the way from `last_pose` to `pose`; then they are equal."""
-    scale = 1.0 + noise.scale * _normal(_hash(seed, -1))
-    turn_scale = 1.0 + noise.turn_scale * _normal(_hash(seed, -2))
+    scale = 1.0 + noise.scale * _normal(hash_of(seed, -1))
+    turn_scale = 1.0 + noise.turn_scale * _normal(hash_of(seed, -2))
     step_x, step_y = pose[0] - last_pose[0], pose[1] - last_pose[1]
     distance = math.sqrt(step_x * step_x + step_y * step_y)
     turned = (pose[2] - last_pose[2] + math.pi) % (2.0 * math.pi) - math.pi
@@ -251,7 +264,8 @@ def drift(odometry, last_pose, pose, key, seed, noise):
     odometry[0] += scale * (math.cos(heading) * ahead - math.sin(heading) * aside)
     odometry[1] += scale * (math.sin(heading) * ahead + math.cos(heading) * aside)
     odometry[2] = (odometry[2] + measured + math.pi) % (2.0 * math.pi) - math.pi
-    last_pose[:] = pose
+    for k in range(3):
+        last_pose[k] = pose[k]
 
 
 @kernel
@@ -264,10 +278,10 @@ def spoil(
         if not which[b]:
             continue
         step = state.step_count[b]
-        spoil_scan(scans[b], clean, _key(seeds[b], step, _SCAN), scan_errors)
-        spoil_depth(images[b], _key(seeds[b], step, _IMAGE), depth_errors)
+        spoil_scan(scans[b], clean, sensor_key(seeds[b], step, _SCAN), scan_errors)
+        spoil_depth(images[b], sensor_key(seeds[b], step, _IMAGE), depth_errors)
         if np.isnan(last_pose[b, 0]):  # the first look at an episode
             odometry[b] = state.robot_pose[b]
             last_pose[b] = state.robot_pose[b]
-        key = _key(seeds[b], step, _ODOMETRY)
+        key = sensor_key(seeds[b], step, _ODOMETRY)
         drift(odometry[b], last_pose[b], state.robot_pose[b], key, seeds[b], wheel_errors)

@@ -17,7 +17,7 @@ LIDARS: dict[str, LidarConfig] = {
     ),
     # Slamtec RPLIDAR A2M8 (datasheet rev. 2.5): .15 to 12 m, 8,000 samples a second at 10 Hz, so .45 degrees apart.
     "rplidar-a2": LidarConfig(
-        num_rays=800, fov_rad=799 * 2 * math.pi / 800, max_range_m=12.0, min_range_m=0.15, rate_hz=10.0
+        num_rays=800, fov_rad=799 * 2 * math.pi / 800, max_range_m=12.0, min_range_m=0.15, rate_hz=10.0, sweep_s=0.1
     ),
 }
 CAMERAS: dict[str, CameraConfig] = {

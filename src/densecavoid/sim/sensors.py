@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from densecavoid.frames import require
-from densecavoid.sim import kernels, noise
+from densecavoid.sim import kernels, noise, returns
 from densecavoid.sim._jit import for_worlds
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.depth import camera_optics
@@ -71,15 +71,20 @@ class SensorSuite:
     def __init__(self, config: SimConfig, num_worlds: int) -> None:
         self.config = config
         lidar, camera = config.lidar, config.camera
-        self._lidar, self._camera = lidar_optics(lidar), camera_optics(camera)
+        self.real = config.sensors == "real"
+        self._lidar, self._camera = lidar_optics(lidar, sweep=self.real), camera_optics(camera)
         scan = np.full((num_worlds, lidar.num_rays), np.inf, np.float32)
         image = np.full((num_worlds, camera.height, camera.width), np.nan, np.float32)
-        self.real = config.sensors == "real"
+        # What each ray meets is kept where somebody asks for it: exact sensors with a level camera do not.
+        kept = num_worlds if self.real or camera.mount_pitch_rad != 0.0 else 0
+        self._hits = (np.zeros((kept, *scan.shape[1:]), np.int32), np.zeros((kept, *image.shape[1:]), np.int32))
+        self._returns = returns.returns(config.noise, lidar)
         self._errors = (
             noise.scan_noise(config.noise, lidar),
             noise.depth_noise(config.noise, camera),
             noise.odometry_noise(config.noise),
         )
+        self._limits = np.float32(lidar.max_range_m), np.float32(camera.min_range_m), np.float32(camera.max_range_m)
         self._seeds = np.zeros(num_worlds, np.uint64)
         self._odometry, self._last_pose = np.zeros((2, num_worlds, 3))
         self._lines = {
@@ -90,7 +95,7 @@ class SensorSuite:
     @property
     def nbytes(self) -> int:
         """Memory of all worlds."""
-        memory = (self._seeds, self._odometry, self._last_pose)
+        memory = (self._seeds, self._odometry, self._last_pose, *self._hits)
         return sum(line.nbytes for line in self._lines.values()) + sum(array.nbytes for array in memory)
 
     def reset(self, seeds: Int[np.ndarray, "B"], which: Bool[np.ndarray, "B"]) -> None:
@@ -110,18 +115,26 @@ class SensorSuite:
         scan, depth = self._lines["scan"], self._lines["depth"]
         frames = (scan.frame, depth.frame)
         optics = self._lidar, self._camera
-        if meshes is None:
-            for_worlds(kernels.sense, num_worlds, threads, state, which, *frames, *optics)
-        else:  # the lower limit waits for what meshes there are below it
-            unlimited = self._lidar, self._camera._replace(min_range=np.float32(0.0))
-            for_worlds(kernels.sense, num_worlds, threads, state, which, *frames, *unlimited)
-            placed = state.robot_pose, state.meshes, state.num_meshes
-            for_worlds(kernels.sense_meshes, num_worlds, threads, *placed, which, *frames, *optics, meshes)
+
+        def each(kernel: Callable, *args: object) -> None:
+            for_worlds(kernel, num_worlds, threads, *args)
+
+        if meshes is not None and not len(self._hits[0]):  # meshes are met by the general kernels alone
+            self._hits = np.zeros(scan.frame.shape, np.int32), np.zeros(depth.frame.shape, np.int32)
+        if len(self._hits[0]):
+            each(kernels.sense_hits, state, which, *frames, *self._hits, *optics)
+            if meshes is not None:
+                each(kernels.sense_meshes, state, which, *frames, *self._hits, *optics, meshes)
+            if self.real:
+                seen = *frames, *self._hits
+                each(returns.lose_returns, state, which, self._seeds, *seen, *optics, self._returns, meshes)
+            each(kernels.limit_ranges, which, *frames, *self._limits)
+        else:
+            each(kernels.sense_level, state, which, *frames, *optics, *self._limits)
         odometry = state.robot_pose
         if self.real:
             odometry = self._odometry
-            memory = (odometry, self._last_pose)
-            for_worlds(noise.spoil, num_worlds, threads, state, which, self._seeds, *frames, *memory, *self._errors)
+            each(noise.spoil, state, which, self._seeds, *frames, odometry, self._last_pose, *self._errors)
         return scan.pass_on(state.step_count, which), depth.pass_on(state.step_count, which), odometry
 
     def state_dict(self) -> dict[str, np.ndarray]:

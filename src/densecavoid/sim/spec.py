@@ -13,6 +13,35 @@ from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import sample_bodies
 
+NET_PLACES, NET_LINKS = 64, 6
+"""The most places of a net, and links of a place."""
+
+
+@dataclass(frozen=True)
+class WalkNet:
+    """Places and which of them are joined by a straight free way: how wanderers get about among inner walls.
+
+    Whoever arrives at a place goes on to one of its links at random, and back only where there is no other. A change of
+    mind is to turn round.
+    """
+
+    places: Float[np.ndarray, "M 3"]
+    """Rows (x, y, spread): each visitor heads for a point of their own within `spread` of it."""
+    links: Int[np.ndarray, "M L"]
+    """Places joined to each; -1 fills up."""
+
+    def __post_init__(self) -> None:
+        count = len(self.places)
+        require(2 <= count <= NET_PLACES, "WalkNet.places", f"{count} places", f"2 to {NET_PLACES}")
+        require(bool(np.isfinite(self.places).all()), "WalkNet.places", self.places, "finite")
+        require(self.links.shape[0] == count, "WalkNet.links", self.links.shape, f"a row for each of {count} places")
+        require(self.links.shape[1] <= NET_LINKS, "WalkNet.links", self.links.shape, f"at most {NET_LINKS} a place")
+        known = bool(((self.links >= -1) & (self.links < count)).all())
+        require(known, "WalkNet.links", self.links, f"-1 or a place below {count}")
+        require(
+            bool((self.links[:, 0] >= 0).all()), "WalkNet.links", self.links, "one or more a place, first in its row"
+        )
+
 
 @dataclass(frozen=True)
 class Crowd:
@@ -32,6 +61,10 @@ class Crowd:
     """Where each looks at first; None: towards the goal."""
     group: Int[np.ndarray, "P"] | None = None
     """People of one number, 0 or more, belong together; -1 is alone. None: everybody is."""
+    net: WalkNet | None = None
+    """Places in sight of one another, for wanderers who have a leg."""
+    leg: Int[np.ndarray, "P 2"] | None = None
+    """Place of the net that each comes from, and the one they go to; -1: not on the net. None: nobody is."""
 
     def __post_init__(self) -> None:
         count = len(self.pos)
@@ -40,6 +73,11 @@ class Crowd:
             if value is not None:
                 require(len(value) == count, f"Crowd.{name}", f"{len(value)} long", f"{count}, one for each position")
                 require(bool(np.isfinite(value).all()), f"Crowd.{name}", value, "finite")
+        require((self.net is None) == (self.leg is None), "Crowd.leg", self.leg, "given with a net, and only then")
+        if self.net is not None and self.leg is not None:
+            require(self.leg.shape == (count, 2), "Crowd.leg", self.leg.shape, f"({count}, 2)")
+            known = bool(((self.leg >= -1) & (self.leg < len(self.net.places))).all())
+            require(known, "Crowd.leg", self.leg, "-1 or a place of the net")
         for name in ("goal", "preferred_speed", "radius_m", "height_m", "behaviour"):
             value = getattr(self, name)
             require(len(value) == count, f"Crowd.{name}", f"{len(value)} long", f"{count}, one for each position")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.sim.people import PARTS
+from densecavoid.sim.spec import NET_LINKS, NET_PLACES
 
 
 class WorldState(NamedTuple):
@@ -57,6 +58,9 @@ class WorldState(NamedTuple):
     notices_robot: np.ndarray  # bool [B, P]
     wander_area: np.ndarray  # f64 [B, 4]
     change_rate: np.ndarray  # f64 [B] changes of mind a second
+    net_places: np.ndarray  # f32 [B, NET_PLACES, 3] x, y, spread
+    net_links: np.ndarray  # i8 [B, NET_PLACES, NET_LINKS] -1: none
+    leg: np.ndarray  # i8 [B, P, 2] place of the net come from, place gone to; -1: not on the net
     random: np.ndarray  # u64 [B] state of each world's own generator
     # people who appear suddenly
     trigger_distance: np.ndarray  # f64 [B] inf: nobody will
@@ -127,6 +131,9 @@ def allocate(
         notices_robot=whole(np.bool_, p),
         wander_area=real(4),
         change_rate=real(),
+        net_places=whole(np.float32, NET_PLACES, 3),
+        net_links=whole(np.int8, NET_PLACES, NET_LINKS) - 1,
+        leg=whole(np.int8, p, 2) - 1,
         random=whole(np.uint64),
         trigger_distance=real() + np.inf,
         appear_distance=real(),

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from densecavoid.frames import Command, People, SensorFrame, Truth, require
+from densecavoid.frames import CameraConfig, Command, People, SensorFrame, Truth, require
 from densecavoid.sim import kernels
 from densecavoid.sim._jit import for_worlds
+from densecavoid.sim.clearance import check_can_begin
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds.recorded import Recordings, no_recordings
 from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.images import Images, take_images
 from densecavoid.sim.materials import MATERIALS
 from densecavoid.sim.mesh import Mesh, MeshSet, mesh_set, place_rows
 from densecavoid.sim.people import ABSENT, PARTS, STANDING
@@ -49,14 +51,18 @@ class Simulator:
     # -- the episode ---------------------------------------------------------------------------------------------------
 
     def reset(self, seeds: Int[np.ndarray, "B"], which: Bool[np.ndarray, "B"] | None = None) -> None:
-        """Draws a new world for each marked one (all, without `which`) from (scenario, its seed)."""
+        """Draws a new world for each marked one (all, without `which`) from (scenario, its seed).
+
+        Raises:
+            ValueError: naming the scenario, if a world of it has no room, or somebody would start inside a thing.
+        """
         require(
             len(seeds) == self.num_worlds, "seeds", f"{len(seeds)} long", f"one for each of {self.num_worlds} worlds"
         )
         which = np.ones(self.num_worlds, np.bool_) if which is None else which
         for b in np.flatnonzero(which):
             rng = np.random.default_rng(int(seeds[b]))
-            self._fill(int(b), self.scenario.spawn(rng), rng)
+            self._fill(int(b), self._spawn(rng), rng)
         self._sensors.reset(seeds, which)
         self._run(
             kernels.begin,
@@ -111,6 +117,16 @@ class Simulator:
             goal_odom=self.goal,
             truth=Truth(self.robot_pose, self.people()),
         )
+
+    def images(self, camera: CameraConfig | None = None, which: Bool[np.ndarray, "B"] | None = None) -> Images:
+        """Colour, depth, class and person of every pixel, exact; of the marked worlds (all, without `which`).
+
+        Args:
+            camera: where it is on the robot and what it sees; the configured depth camera unless given. Its rate and
+                latency play no part.
+        """
+        which = np.ones(self.num_worlds, np.bool_) if which is None else which
+        return take_images(self._state, camera or self.config.camera, which, self.config.threads, self._meshes)
 
     # -- what happened -------------------------------------------------------------------------------------------------
 
@@ -209,6 +225,11 @@ class Simulator:
             id=state.person_id.copy(),
         )
 
+    @property
+    def heading_rad(self) -> Float[np.ndarray, "B P"]:
+        """Where everybody looks, in the order of `people()`; kept by those who stand."""
+        return self._state.heading
+
     def floor_plan(self, b: int) -> FloorPlan:
         """What stands in world b, people left out."""
         state = self._state
@@ -227,7 +248,7 @@ class Simulator:
         return plan
 
     def body_cylinders(self, b: int) -> Float[np.ndarray, "P parts 5"]:
-        """Everybody's legs, trunk and head in world b, rows (x, y, radius, z_min, z_max); radius 0 for nobody there."""
+        """Everybody's parts (`people.LEFT_LEG`, ...) in world b: x, y, radius, z_min, z_max; without radius: nobody."""
         slots = self._state.pos.shape[1]
         return self._state.cylinders[b, : PARTS * slots].astype(np.float64).reshape(slots, PARTS, 5)
 
@@ -275,8 +296,16 @@ class Simulator:
     def _run(self, function, *args: object) -> None:
         for_worlds(function, self.num_worlds, self.config.threads, self._state, *args)
 
+    def _spawn(self, rng: np.random.Generator) -> WorldSpec:
+        try:
+            return self.scenario.spawn(rng)
+        except ValueError as error:
+            name = self.scenario.name
+            raise error if str(error).startswith(name) else ValueError(f"{name}: {error}") from error
+
     def _fill(self, b: int, spec: WorldSpec, rng: np.random.Generator) -> None:
         plan, crowd = spec.floor_plan.packed(), spec.crowd
+        check_can_begin(spec, plan, self.config.robot.height_m)
         boxes, cylinders, places = plan.boxes, plan.cylinders, spec.floor_plan.meshes
         self._state = with_room(
             self._state, spec.people_slots, len(boxes), len(cylinders), len(spec.waypoints), len(places)
@@ -333,6 +362,12 @@ class Simulator:
         state.notices_robot[b] = self.config.people == "reactive"
         state.wander_area[b] = crowd.wander_area
         state.change_rate[b] = crowd.changes_of_mind_per_s
+        state.leg[b] = -1
+        if crowd.net is not None and crowd.leg is not None:
+            state.net_links[b] = -1
+            state.net_places[b, : len(crowd.net.places)] = crowd.net.places
+            state.net_links[b, : len(crowd.net.places), : crowd.net.links.shape[1]] = crowd.net.links
+            state.leg[b, there] = crowd.leg
         state.random[b] = rng.integers(2**63, dtype=np.uint64)
 
         state.trigger_distance[b] = spec.appearance.trigger_distance_m if spec.appearance else np.inf

@@ -12,16 +12,20 @@ from PIL import Image, ImageDraw
 
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.mesh_contact import GROUND_M
+from densecavoid.sim.people import half_depth
 from densecavoid.viz import theme
 
 SUPERSAMPLING = 3
 """Drawn so many times larger and then averaged, which smooths every edge."""
+_HEAD_RADIUS_M = 0.09
 
 WHOLE_ROOM_M = 12.5
 """A plan no longer than this is shown whole; of a longer one, what lies around the start and the goal."""
 AROUND_M = 2.5
 WALL_HEIGHT_M = 1.8
-"""What is higher is drawn as a wall, what is lower as furniture."""
+"""What is higher is drawn as a wall, what is lower as furniture, what begins above it not at all."""
+LOW_M = 0.2
+"""Kerbs and ramps, which the lidar looks over."""
 
 
 @dataclass(frozen=True)
@@ -172,13 +176,21 @@ class Canvas:
             width=round(edge_px * SUPERSAMPLING),
         )
 
-    def person(self, centre_w: Float[np.ndarray, "2"], velocity_w: Float[np.ndarray, "2"], radius_m: float) -> None:
-        """A disc with a tick towards where they walk."""
-        self.disc(centre_w, radius_m, theme.PERSON, theme.PERSON_EDGE)
-        speed = float(np.hypot(*velocity_w))
-        if speed > 0.05:
-            ahead = np.asarray(velocity_w) / speed * radius_m
-            self.line(np.stack([centre_w + 0.15 * ahead, centre_w + 0.95 * ahead]), theme.PERSON_EDGE, 1.6)
+    def person(self, centre_w: Float[np.ndarray, "2"], heading_rad: float | None, radius_m: float) -> None:
+        """Shoulders across the way they look, and the head leaning towards it; a disc where that is not known."""
+        if heading_rad is None:
+            self.disc(centre_w, radius_m, theme.PERSON, theme.PERSON_EDGE)
+            self.disc(centre_w, _HEAD_RADIUS_M, theme.PERSON_EDGE)
+            return
+        depth = half_depth(radius_m)
+        ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
+        # Two half circles, from the back of the right shoulder to its front, then around the left one.
+        turn = np.linspace(-math.pi, 0.0, 16)
+        arc, shoulder = depth * np.stack([np.cos(turn), np.sin(turn)], axis=-1), np.array([0.0, radius_m - depth])
+        outline = np.concatenate([arc - shoulder, shoulder - arc])
+        outline = centre_w + outline @ np.array([[ahead[0], ahead[1]], [-ahead[1], ahead[0]]])
+        self._draw.polygon(self._flat(outline), fill=theme.PERSON, outline=theme.PERSON_EDGE, width=SUPERSAMPLING)
+        self.disc(centre_w + 0.45 * depth * ahead, _HEAD_RADIUS_M, theme.PERSON_EDGE)
 
     def robot(self, pose_w: Float[np.ndarray, "3"], radius_m: float) -> None:
         """A disc with an arrowhead towards where it looks."""
@@ -218,31 +230,44 @@ def _rgba(colour: theme.Colour, opacity: float) -> tuple[int, int, int, int]:
 
 
 def _outlines(plan: FloorPlan) -> list[tuple[Float[np.ndarray, "n 2"], theme.Colour, theme.Colour]]:
-    """Outline, fill and edge of everything in a plan, in the order to draw it."""
+    """Outline, fill and edge of everything in a plan, in the order to draw it; of what is overhead, crowns alone."""
     shapes = []
-    for x, y, yaw, half_length, half_width, z_min, z_max in plan.boxes.tolist():
+    for (x, y, yaw, half_length, half_width, z_min, z_max), material in zip(
+        plan.boxes.tolist(), plan.box_materials, strict=True
+    ):
         corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (half_length, half_width)
         cos, sin = math.cos(yaw), math.sin(yaw)
-        shapes.append((corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y), z_min, z_max))
-    for x, y, radius, z_min, z_max in plan.cylinders.tolist():
+        shapes.append((corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y), z_min, z_max, material))
+    for (x, y, radius, z_min, z_max), material in zip(plan.cylinders.tolist(), plan.cylinder_materials, strict=True):
         angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-        shapes.append((np.stack([np.cos(angles), np.sin(angles)], axis=-1) * radius + (x, y), z_min, z_max))
+        shapes.append((np.stack([np.cos(angles), np.sin(angles)], axis=-1) * radius + (x, y), z_min, z_max, material))
 
     drawn = []
-    for outline, z_min, z_max in shapes:
-        if z_max > WALL_HEIGHT_M:
-            drawn.append((2, outline, theme.WALL, theme.WALL))
+    for outline, z_min, z_max, material in shapes:
+        if z_min >= WALL_HEIGHT_M and material != "plant":
+            continue
+        if z_min >= WALL_HEIGHT_M:
+            drawn.append((-1, outline, theme.CROWN, theme.PLANT))
+            continue
+        if material == "glass":
+            drawn.append((3, outline, theme.VIEW, theme.VIEW))
+        elif material == "plant":
+            drawn.append((1, outline, theme.PLANT, theme.PLANT_EDGE))
+        elif z_max > WALL_HEIGHT_M:
+            drawn.append((3, outline, theme.WALL, theme.WALL))
+        elif z_max <= LOW_M:
+            drawn.append((0, outline, theme.LOW, theme.LOW_EDGE))
         elif z_min > 0.1:
-            drawn.append((0, outline, theme.TABLE_TOP, theme.TABLE_EDGE))
+            drawn.append((1, outline, theme.TABLE_TOP, theme.TABLE_EDGE))
         else:
-            drawn.append((1, outline, theme.FURNITURE, theme.FURNITURE_EDGE))
+            drawn.append((2, outline, theme.FURNITURE, theme.FURNITURE_EDGE))
     for place in plan.meshes:
         cos, sin = math.cos(place.yaw), math.sin(place.yaw)
         corners = place.mesh.triangles.astype(np.float64)
         z_min, z_max = corners[..., 2].min(axis=1) + place.z, corners[..., 2].max(axis=1) + place.z
         for triangle in corners[(z_min < WALL_HEIGHT_M) & (z_max > GROUND_M), :, :2]:
             outline = triangle @ np.array([[cos, sin], [-sin, cos]]) + (place.x, place.y)
-            drawn.append((1, outline, theme.FURNITURE, theme.FURNITURE))
+            drawn.append((2, outline, theme.FURNITURE, theme.FURNITURE))
 
     drawn.sort(key=lambda entry: entry[0])
     return [(outline, fill, edge) for _, outline, fill, edge in drawn]

@@ -24,6 +24,11 @@ FURNITURE: Colour = (190, 198, 207)
 FURNITURE_EDGE: Colour = (154, 165, 177)
 TABLE_TOP: Colour = (239, 229, 213)
 TABLE_EDGE: Colour = (214, 199, 174)
+PLANT: Colour = (186, 214, 178)
+PLANT_EDGE: Colour = (140, 178, 130)
+CROWN: Colour = (240, 247, 238)
+LOW: Colour = (232, 226, 240)
+LOW_EDGE: Colour = (186, 174, 206)
 
 PERSON: Colour = (240, 138, 75)
 PERSON_EDGE: Colour = (194, 97, 38)
@@ -76,7 +81,7 @@ def palette_image() -> Image.Image:
     lines = (INK, MUTED, WALL, PERSON, ROBOT, LIDAR, FURNITURE_EDGE, GOAL)
     tints = (FREE_SPACE, blend(VIEW, CARD, 0.32), FURNITURE, TABLE_TOP)
     colours: list[Colour] = [PAGE, CARD, BORDER, GRID, NO_DEPTH, (0, 0, 0), PERSON_EDGE, ROBOT_EDGE, GOAL_EDGE]
-    colours += [FURNITURE, TABLE_TOP, TABLE_EDGE, VIEW, FREE_SPACE]
+    colours += [FURNITURE, TABLE_TOP, TABLE_EDGE, VIEW, FREE_SPACE, PLANT, PLANT_EDGE, CROWN, LOW, LOW_EDGE]
     colours += [blend(over, CARD, opacity) for over in lines for opacity in opacities]
     colours += [blend(over, PAGE, opacity) for over in (INK, MUTED) for opacity in opacities]
     colours += [blend(CARD, under, opacity) for under in OUTCOME.values() for opacity in (0.0, 0.33, 0.66)]

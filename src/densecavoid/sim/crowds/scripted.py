@@ -24,6 +24,31 @@ def uniform(random, b):
 
 
 @inner
+def _next_leg(state, b, i, arrived):
+    """Sends person i on along the net, by any link but the one they came by, or back where they came from."""
+    origin, here = state.leg[b, i, 0], state.leg[b, i, 1]
+    target = origin
+    if arrived:
+        count = 0
+        for k in range(state.net_links.shape[2]):
+            link = state.net_links[b, here, k]
+            if link >= 0 and link != origin:
+                count += 1
+        chosen = int(uniform(state.random, b) * count)
+        for k in range(state.net_links.shape[2]):
+            link = state.net_links[b, here, k]
+            if link >= 0 and link != origin:
+                if chosen == 0:
+                    target = link
+                chosen -= 1
+    state.leg[b, i, 0], state.leg[b, i, 1] = here, target
+    away = state.net_places[b, target, 2] * math.sqrt(uniform(state.random, b))
+    angle = 2.0 * math.pi * uniform(state.random, b)
+    state.person_goal[b, i, 0] = state.net_places[b, target, 0] + away * math.cos(angle)
+    state.person_goal[b, i, 1] = state.net_places[b, target, 1] + away * math.sin(angle)
+
+
+@inner
 def intend_scripted(state, b, intended, dt):
     """Writes where wanderers and traversers of world b want to go, as velocities [P, 2]."""
     for i in range(state.pos.shape[1]):
@@ -37,8 +62,11 @@ def intend_scripted(state, b, intended, dt):
             state.behaviour[b, i] = ABSENT
             continue
         if behaviour == WANDERING and (distance < _ARRIVED_M or uniform(state.random, b) < state.change_rate[b] * dt):
-            area = state.wander_area[b]
-            state.person_goal[b, i, 0] = area[0] + (area[2] - area[0]) * uniform(state.random, b)
-            state.person_goal[b, i, 1] = area[1] + (area[3] - area[1]) * uniform(state.random, b)
+            if state.leg[b, i, 1] >= 0:
+                _next_leg(state, b, i, distance < _ARRIVED_M)
+            else:
+                area = state.wander_area[b]
+                state.person_goal[b, i, 0] = area[0] + (area[2] - area[0]) * uniform(state.random, b)
+                state.person_goal[b, i, 1] = area[1] + (area[3] - area[1]) * uniform(state.random, b)
         scale = state.preferred_speed[b, i] / max(distance, 1e-6)
         intended[i, 0], intended[i, 1] = off_x * scale, off_y * scale

@@ -8,19 +8,21 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.geometry import (
     BOX_HALF_LENGTH,
     BOX_HALF_WIDTH,
     BOX_X,
     BOX_Y,
+    BOX_Z_MAX,
+    BOX_Z_MIN,
     CYL_RADIUS,
+    CYL_Z_MAX,
+    CYL_Z_MIN,
     disc_offset,
     rectangle_offset,
 )
-from densecavoid.sim.people import ABSENT, PARTS, STANDING, advance_gait
+from densecavoid.sim.people import ABSENT, PARTS, STANDING, STEP_OVER_M, WALK_UNDER_M, advance_gait
 
 _RELAXATION_S = 0.5  # to the intended velocity (Helbing-Molnar's tau)
 _ANTICIPATION_GAIN = 1.5  # k of the power law
@@ -108,6 +110,8 @@ def _wall_force(state, b, i):
         total_x += size * normal_x
         total_y += size * normal_y
     for k in range(PARTS * state.pos.shape[1], state.num_cylinders[b]):
+        if _over_or_under(state.cylinders[b, k]):
+            continue
         distance, normal_x, normal_y = disc_offset(x, y, state.cylinders[b, k])
         size = _WALL_FORCE * math.exp(-(distance - radius) / _WALL_RANGE_M) if distance - radius < 0.6 else 0.0
         total_x += size * normal_x
@@ -117,8 +121,15 @@ def _wall_force(state, b, i):
 
 @kernel
 def _far_from_box(x, y, box, margin):
+    """Whether a box is out of reach, or so low or high that people walk over or under it."""
     reach = box[BOX_HALF_LENGTH] + box[BOX_HALF_WIDTH] + margin
-    return abs(x - box[BOX_X]) > reach or abs(y - box[BOX_Y]) > reach
+    far = abs(x - box[BOX_X]) > reach or abs(y - box[BOX_Y]) > reach
+    return far or box[BOX_Z_MAX] <= STEP_OVER_M or box[BOX_Z_MIN] >= WALK_UNDER_M
+
+
+@kernel
+def _over_or_under(cylinder):
+    return cylinder[CYL_Z_MAX] <= STEP_OVER_M or cylinder[CYL_Z_MIN] >= WALK_UNDER_M
 
 
 @inner
@@ -173,7 +184,7 @@ def _keep_out_of_things(state, b, i, robot_radius):
             state.pos[b, i, 1] += (radius - distance) * normal_y
     for k in range(PARTS * state.pos.shape[1], state.num_cylinders[b]):
         cylinder = state.cylinders[b, k]
-        if cylinder[CYL_RADIUS] <= 0.0:
+        if cylinder[CYL_RADIUS] <= 0.0 or _over_or_under(cylinder):
             continue
         distance, normal_x, normal_y = disc_offset(state.pos[b, i, 0], state.pos[b, i, 1], cylinder)
         if distance < radius:
@@ -182,10 +193,9 @@ def _keep_out_of_things(state, b, i, robot_radius):
 
 
 @inner
-def move_people(state, b, intended, robot_radius, dt):
-    """Advances everybody in world b by `dt` seconds towards the intended velocities [P, 2]."""
+def move_people(state, b, intended, new_vel, robot_radius, dt):
+    """Advances everybody in world b by `dt` s towards the intended velocities [P, 2]; `new_vel` is scratch space."""
     num_people = state.pos.shape[1]
-    new_vel = np.zeros((num_people, 2))
     for i in range(num_people):
         if state.behaviour[b, i] == ABSENT or state.behaviour[b, i] == STANDING:
             continue

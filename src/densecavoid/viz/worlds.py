@@ -1,0 +1,77 @@
+"""Worlds seen from above as they begin: one picture of each, and a sheet of many. Knows no episodes."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from densecavoid.frames import RobotConfig
+from densecavoid.scenarios import PLACES, TESTING, TRAINING
+from densecavoid.sim.people import STANDING
+from densecavoid.sim.spec import Scenario, WorldSpec
+from densecavoid.viz import theme
+from densecavoid.viz.scene import Canvas, Extent
+
+_MARGIN_PX = 14
+_TITLE_PX = 30
+
+
+def whole_extent(spec: WorldSpec) -> Extent:
+    """All that stands in a world, and everybody near it."""
+    boxes, cylinders = spec.floor_plan.boxes, spec.floor_plan.cylinders
+    half_x = np.abs(np.cos(boxes[:, 2])) * boxes[:, 3] + np.abs(np.sin(boxes[:, 2])) * boxes[:, 4]
+    half_y = np.abs(np.sin(boxes[:, 2])) * boxes[:, 3] + np.abs(np.cos(boxes[:, 2])) * boxes[:, 4]
+    half = np.stack([half_x, half_y], axis=1)
+    standing = cylinders[cylinders[:, 3] < 2.0]
+    radius = np.repeat(standing[:, 2:3], 2, axis=1)
+    ends = np.array([spec.start_pose[:2], spec.goal])
+    low = np.concatenate([boxes[:, :2] - half, standing[:, :2] - radius, ends - 1.0]).min(axis=0) - 0.2
+    high = np.concatenate([boxes[:, :2] + half, standing[:, :2] + radius, ends + 1.0]).max(axis=0) + 0.2
+    turns = 1 if high[1] - low[1] > 1.3 * (high[0] - low[0]) else 0
+    return Extent((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), turns)
+
+
+def world_picture(spec: WorldSpec, width_px: int, height_px: int) -> Image.Image:
+    """One world from above: the robot, its way points and goal, people with a tick towards where they go or look."""
+    canvas = Canvas(whole_extent(spec).view(width_px, height_px))
+    canvas.grid()
+    canvas.floor_plan(spec.floor_plan)
+    way = np.vstack([spec.start_pose[:2], spec.waypoints, spec.goal])
+    canvas.line(way, theme.ROBOT, 1.2, 0.35)
+    canvas.goal(np.array(spec.goal))
+    canvas.robot(np.array(spec.start_pose), RobotConfig().radius_m)
+    crowd = spec.crowd
+    if spec.appearance is None:
+        offset = crowd.goal - crowd.pos
+        heading = np.arctan2(offset[:, 1], offset[:, 0]) if crowd.heading_rad is None else crowd.heading_rad
+        for k in range(crowd.size):
+            pace = 0.1 if crowd.behaviour[k] == STANDING else crowd.preferred_speed[k]
+            velocity = pace * np.array([math.cos(heading[k]), math.sin(heading[k])])
+            canvas.person(crowd.pos[k], velocity, float(crowd.radius_m[k]))
+    return canvas.image()
+
+
+def contact_sheet(
+    scenarios: Sequence[Scenario], seed: int = 3, columns: int = 3, cell_px: tuple[int, int] = (420, 330)
+) -> Image.Image:
+    """A world of each scenario with its name."""
+    rows = math.ceil(len(scenarios) / columns)
+    width, height = cell_px[0] + _MARGIN_PX, cell_px[1] + _TITLE_PX + _MARGIN_PX
+    sheet = Image.new("RGB", (columns * width + _MARGIN_PX, rows * height + _MARGIN_PX), theme.PAGE)
+    draw = ImageDraw.Draw(sheet)
+    for k, scenario in enumerate(scenarios):
+        x, y = _MARGIN_PX + k % columns * width, _MARGIN_PX + k // columns * height
+        spec = scenario.spawn(np.random.default_rng(seed))
+        sheet.paste(world_picture(spec, *cell_px), (x, y + _TITLE_PX))
+        draw.text((x + 2, y + 4), scenario.name, fill=theme.INK, font=theme.font(17))
+    return sheet
+
+
+if __name__ == "__main__":
+    everything: list[Scenario] = [*PLACES.values(), *TRAINING.values(), *TESTING.values()]
+    contact_sheet(everything[:-2]).save(Path(sys.argv[1] if len(sys.argv) > 1 else "worlds.png"), optimize=True)
