@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from mesh_shapes import ball, chair, scanned_room
 
-from densecavoid.frames import CameraConfig, Command, LidarConfig
+from densecavoid.frames import CameraConfig, Command
 from densecavoid.scenarios.free_space import clear_path, free_points
 from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.mesh import Mesh, load_mesh, mesh_set, place_rows
-from densecavoid.sim.mesh_contact import GROUND_M, lessen_clearances
+from densecavoid.sim.mesh_contact import GROUND_M, lessen_by_meshes
 from densecavoid.sim.mesh_rays import mesh_depth, mesh_scan, triangle_of_hit
 from densecavoid.sim.people import TRAVERSING, WANDERING
 from densecavoid.sim.spec import Crowd, WorldSpec
 from densecavoid.sim.world import SimConfig, Simulator
 from densecavoid.viz.scene import extent_of
 
-NO_HITS, NO_STARTS = np.empty(0, np.int32), np.empty(0, np.float32)
+NO_STARTS = np.empty(0, np.float32)
 ROBOT_TOP_M = SimConfig().robot.height_m
 
 
@@ -290,22 +290,6 @@ def test_pitched_images_agree_with_a_slow_loop_and_say_what_they_show(seed):
         np.testing.assert_array_equal(meshes.corners[index], plan.meshes[m].mesh.triangles[number - first[m]])
 
 
-def test_whoever_does_not_ask_for_hits_gets_the_same_distances():
-    places, meshes = packed(random_plan(np.random.default_rng(1), (chair(), ball(0.4, 0.5)), 8))
-    camera, angles = CameraConfig(), LidarConfig().angles_rad
-    rays = *(f(angles).astype(np.float32) for f in (np.cos, np.sin, np.zeros_like)), NO_STARTS, NO_STARTS
-    images, scans = np.full((2, 60, 80), np.inf, np.float32), np.full((2, 512), np.inf, np.float32)
-    for k, (pixels, hits) in enumerate(
-        [(np.zeros((60, 80), np.int32), np.zeros(512, np.int32)), (NO_HITS[:, None], NO_HITS)]
-    ):
-        slopes = camera.column_slopes.astype(np.float32), camera.row_slopes.astype(np.float32)
-        mesh_depth(images[k], pixels, 0, 0.0, 0.0, 0.4, 0.5, *slopes, 0.0, 5.0, places, meshes)
-        mesh_scan(scans[k], hits, 0, 0.0, 0.0, 0.26, 0.5, *rays, 4.0, places, meshes)
-    assert np.isfinite(images).any() and np.isfinite(scans).any()
-    np.testing.assert_array_equal(images[0], images[1])
-    np.testing.assert_array_equal(scans[0], scans[1])
-
-
 def test_what_lies_below_the_cameras_least_range_hides_what_is_behind_it():
     plan = FloorPlan()
     plan.mesh(Mesh.box(0.1, 0.5, 0.9), 1.0, 0.0)
@@ -326,18 +310,19 @@ def test_rays_and_collisions_find_the_same_nearest_surface(seed):
     if seed % 3 == 0:
         plan.mesh(scanned_room(16), 0.0, 0.0)
     places, meshes = packed(plan)
-    sim = simulate(plan, start=(-40.0, 0.0, 0.0))
+    sim = simulate(plan, start=(30.0, 30.0, 0.0))
     points = rng.uniform(-3, 3, (12, 2))
     contact = sim.nearest_surface_m(0, points)
     count = 1440
     angles = np.arange(count) * 2 * math.pi / count - math.pi
     directions = [f(angles).astype(np.float32) for f in (np.cos, np.sin, np.zeros_like)]
+    hits = np.empty(count, np.int32)
     heights = np.concatenate([[GROUND_M + 1e-5], np.linspace(0.03, ROBOT_TOP_M - 0.01, 78), [ROBOT_TOP_M - 1e-5]])
     compared = 0
     for point, distance in zip(points, contact, strict=True):
         ranges = np.full(count, np.inf, np.float32)
         for z in heights:
-            mesh_scan(ranges, NO_HITS, 0, *point, z, 0.0, *directions, NO_STARTS, NO_STARTS, 12.0, places, meshes)
+            mesh_scan(ranges, hits, 0, *point, z, 0.0, *directions, NO_STARTS, NO_STARTS, 12.0, places, meshes)
         nearest = float(ranges.min())
         if distance > 0.0:
             assert distance - 1e-4 <= nearest <= distance + 0.01 + 0.005 * distance, (point, distance, nearest)
@@ -352,8 +337,7 @@ def test_boxes_of_triangles_collide_as_boxes():
         plan.mesh(Mesh.box(1.0, 0.6, height), x, y, yaw)
         boxes.box(x, y, 1.0, 0.6, yaw, 0.0, height)
     points = rng.uniform(-2, 4, (2000, 2))
-    away = (-40.0, 0.0, 0.0)
-    ours, theirs = (simulate(each, start=away).nearest_surface_m(0, points) for each in (plan, boxes))
+    ours, theirs = (simulate(each, start=(30.0, 30.0, 0.0)).nearest_surface_m(0, points) for each in (plan, boxes))
     assert (theirs < 0).sum() > 20
     np.testing.assert_allclose(ours, np.maximum(theirs, 0.0), atol=1e-6)
 
@@ -435,17 +419,27 @@ def test_nobody_walks_through_a_mesh(seed):
     assert walked.min() > 3.0  # they did walk
 
 
-def test_who_is_placed_inside_of_a_mesh_gets_out():
+def test_who_gets_into_a_mesh_gets_out_again():
     plan = FloorPlan()
     plan.mesh(Mesh.box(1.0, 1.0, 2.5), 0.0, 3.0)
     rng = np.random.default_rng(0)
-    beside = Crowd.draw(rng, np.array([[2.1, 3.2]]), np.array([[0.0, 8.0]]), 1.0, 0.1, TRAVERSING)
-    sim = simulate(plan, crowd=beside)
-    sim._state.pos[0, 0] = 0.1, 3.2  # where a recording might bring them in; a world that begins so is refused
+    person = Crowd.draw(rng, np.array([[2.0, 3.0]]), np.array([[0.0, 8.0]]), 1.0, 0.1, TRAVERSING)
+    sim = simulate(plan, crowd=person)
+    sim._state.pos[0, 0] = 0.1, 3.2
     for _ in range(5):
         sim.step(Command(np.zeros(1, np.float32), np.zeros(1, np.float32)))
     x, y = sim.people().pos_w[0, 0]
     assert max(abs(x), abs(y - 3.0)) > 0.5 + sim.people().radius_m[0, 0] - 1e-3 and math.hypot(x, y - 3.0) < 2.5
+
+
+@pytest.mark.parametrize("who", ["start", "goal", "person"])
+def test_nobody_may_begin_inside_of_a_mesh(who):
+    place = {"start": (0.0, 0.0), "goal": (50.0, 0.0), "person": (5.0, 5.0)}[who]
+    crowd = Crowd.draw(np.random.default_rng(0), np.array([[5.0, 5.0]]), np.zeros((1, 2)), 1.0, 0.1, WANDERING)
+    plan = FloorPlan()
+    plan.mesh(Mesh.box(1.0, 1.0, 3.0), place[0] + 0.1, place[1])
+    with pytest.raises(ValueError, match=rf"given: .*{who}.* 0.00 m from the nearest thing"):
+        simulate(plan, crowd=crowd)
 
 
 # -- the simulator -----------------------------------------------------------------------------------------------------
@@ -461,6 +455,36 @@ def mixed_worlds() -> Given:
         people = crowd(rng, 6, (-2.6, -2.6, 2.6, 2.6))
         specs.append(world(plan, start=(-3.0, 3.0, -0.7), crowd=people, collision_distance_m=1e-6))
     return Given(*specs)
+
+
+def test_real_sensors_lose_black_meshes_and_see_light_ones():
+    """A surface's material and its turn decide as they do for boxes: the same world of both gives the same returns."""
+    frames = []
+    for kind in ("mesh", "box"):
+        plan = FloorPlan()
+        for y, material in ((0.5, "black"), (-0.5, "plaster")):
+            if kind == "mesh":
+                plan.mesh(Mesh.box(0.4, 0.9, 1.2, material=material), 2.8, y, 0.3)
+            else:
+                plan.box(2.8, y, 0.4, 0.9, 0.3, 0.0, 1.2, material)
+        frames.append(simulate(plan, SimConfig(threads=1, sensors="real")).sense())
+    for mesh, box in ((frames[0].scan_m, frames[1].scan_m), (frames[0].depth_m, frames[1].depth_m)):
+        assert (np.isfinite(mesh) == np.isfinite(box)).mean() > 0.995
+        assert np.isclose(mesh, box, atol=1e-3, equal_nan=True).mean() > 0.98
+    half = frames[0].depth_m.shape[2] // 2
+    nearer = (frames[0].depth_m[0, :30] < 3.0).reshape(30, 2, half).sum(axis=(0, 2))
+    assert nearer[0] < 0.2 * nearer[1]
+
+
+def test_images_show_meshes_in_their_colour():
+    plan = FloorPlan()
+    plan.mesh(Mesh.box(0.4, 1.0, 1.0, material="fabric"), 2.5, 0.0, 0.2)
+    boxes = FloorPlan()
+    boxes.box(2.5, 0.0, 0.4, 1.0, 0.2, 0.0, 1.0, "fabric")
+    ours, theirs = (simulate(each).images() for each in (plan, boxes))
+    assert (ours.segmentation == theirs.segmentation).mean() > 0.999
+    assert (np.abs(ours.rgb.astype(int) - theirs.rgb).max(axis=-1) <= 2).mean() > 0.999
+    assert len(np.unique(ours.rgb[0, 25:35, 35:45].reshape(-1, 3), axis=0)) < 20
 
 
 def run(scenario: Given, seeds: list[int], threads: int) -> list[np.ndarray]:
@@ -514,5 +538,5 @@ def test_distances_stop_at_the_limit():
     plan = FloorPlan()
     plan.mesh(CUBE, 10.0, 0.0)
     clearances = np.array([3.0, 20.0])
-    lessen_clearances(np.zeros((2, 2)), 1.9, *packed(plan), clearances)
+    lessen_by_meshes(plan.meshes, np.zeros((2, 2)), 0.0, 1.9, clearances)
     np.testing.assert_allclose(clearances, [3.0, 9.5])

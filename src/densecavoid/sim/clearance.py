@@ -22,8 +22,7 @@ from densecavoid.sim.geometry import (
     disc_offset,
     rectangle_offset,
 )
-from densecavoid.sim.mesh import mesh_set, place_rows
-from densecavoid.sim.mesh_contact import lessen_clearances
+from densecavoid.sim.mesh_contact import lessen_by_meshes
 from densecavoid.sim.people import STEP_OVER_M, WALK_UNDER_M
 from densecavoid.sim.spec import WorldSpec
 
@@ -66,10 +65,7 @@ def clearances_m(
     """Distance from each point to the nearest thing in the plan (negative inside); at most `limit_m`."""
     packed, points, out = plan.packed(), np.asarray(points, np.float64), np.empty(len(points))
     _clearances(points, packed.boxes, packed.cylinders, *heights, limit_m, out)
-    if plan.meshes:
-        meshes = tuple(dict.fromkeys(place.mesh for place in plan.meshes))
-        places = place_rows(plan.meshes, [meshes.index(place.mesh) for place in plan.meshes])
-        lessen_clearances(points, heights[1], places, mesh_set(meshes), out)
+    lessen_by_meshes(plan.meshes, points, *heights, out)
     return out
 
 

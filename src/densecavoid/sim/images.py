@@ -12,7 +12,7 @@ from densecavoid.frames import CameraConfig
 from densecavoid.sim._jit import for_worlds, inner, kernel
 from densecavoid.sim.depth import camera_optics
 from densecavoid.sim.geometry import GROUND, NOTHING
-from densecavoid.sim.kernels import mesh_picture, picture
+from densecavoid.sim.kernels import picture, picture_meshes
 from densecavoid.sim.materials import GLASS, material_colours, material_number
 from densecavoid.sim.mesh import MeshSet
 from densecavoid.sim.people import PARTS, RIGHT_LEG
@@ -65,9 +65,9 @@ def _write(pixel, colours, k, brightness):
 
 
 @inner
-def _paint(pixel, solids, hit, x, y, colours, ground, ceiling, meshes, brightness):
+def _paint(pixel, solids, hit, x, y, colours, ground, ceiling, brightness):
     """Writes the colour of a surface in light of some brightness."""
-    material = material_at(solids, hit, ground, ceiling, meshes)
+    material = material_at(solids, hit, ground, ceiling)
     if material == SKIN:
         _write(pixel, _SKINS, solids.person_id[hit // PARTS] % len(_SKINS), brightness)
     elif material == CLOTHES:  # trousers and shirt: two colours that seldom repeat together
@@ -88,9 +88,9 @@ def draw_images(
             continue
         picture(state, b, depth[b], hits[b], camera)
         if meshes is not None:
-            mesh_picture(state, b, depth[b], hits[b], camera, meshes)
+            picture_meshes(state, b, depth[b], hits[b], camera, meshes)
         shade(
-            solids_of(state, b),
+            solids_of(state, b, meshes),
             state.robot_pose[b],
             rgb[b],
             depth[b],
@@ -101,12 +101,11 @@ def draw_images(
             colours,
             ground,
             ceiling,
-            meshes,
         )
 
 
 @inner
-def shade(solids, pose, rgb, depth, segmentation, instance, hits, camera, colours, ground, ceiling, meshes):
+def shade(solids, pose, rgb, depth, segmentation, instance, hits, camera, colours, ground, ceiling):
     """Colours one image whose depths and hits are known, and limits its depths to the camera's range."""
     cos_pitch, sin_pitch = math.cos(camera.pitch), math.sin(camera.pitch)
     x, y, yaw = pose
@@ -126,12 +125,12 @@ def shade(solids, pose, rgb, depth, segmentation, instance, hits, camera, colour
                 _write(pixel, _SKY, 0, 1.0)
             else:
                 at_x, at_y, at_z = origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2]
-                n_x, n_y, n_z = normal_at(solids, hit, at_x, at_y, at_z, meshes)
+                n_x, n_y, n_z = normal_at(solids, hit, at_x, at_y, at_z)
                 light = max(0.0, n_x * _LIGHT[0] + n_y * _LIGHT[1] + n_z * _LIGHT[2])
                 # What faces the eye is a little lighter, which tells apart the sides that face no light.
                 facing = abs(n_x * ray[0] + n_y * ray[1] + n_z * ray[2]) / math.sqrt(1.0 + up * up + left * left)
                 brightness = _AMBIENT + 0.4 * light + 0.2 * facing
-                _paint(pixel, solids, hit, at_x, at_y, colours, ground, ceiling, meshes, brightness)
+                _paint(pixel, solids, hit, at_x, at_y, colours, ground, ceiling, brightness)
                 if hit < 0:
                     segmentation[v, u] = _GROUND if hit == GROUND else _CEILING
                 elif hit < PARTS * solids.person_id.shape[0]:
@@ -152,7 +151,11 @@ def shade(solids, pose, rgb, depth, segmentation, instance, hits, camera, colour
 
 
 def take_images(
-    state: WorldState, camera: CameraConfig, which: Bool[np.ndarray, "B"], threads: int, meshes: MeshSet | None
+    state: WorldState,
+    camera: CameraConfig,
+    which: Bool[np.ndarray, "B"],
+    threads: int,
+    meshes: MeshSet | None = None,
 ) -> Images:
     """Images of the marked worlds through a camera on each robot; those of the others are black and show nothing."""
     shape = len(state.goal), camera.height, camera.width

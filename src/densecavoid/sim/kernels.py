@@ -25,7 +25,7 @@ from densecavoid.sim.geometry import (
     rectangle_offset,
 )
 from densecavoid.sim.lidar import scan, turn_rays
-from densecavoid.sim.mesh_contact import FORCE_REACH_M, nearest_mesh, part_people_from_meshes
+from densecavoid.sim.mesh_contact import FORCE_REACH_M, GROUND_M, nearest_mesh, part_people_from_meshes
 from densecavoid.sim.mesh_rays import mesh_depth, mesh_scan
 from densecavoid.sim.people import ABSENT, PARTS, STANDING, place_body, remove_body
 from densecavoid.sim.robot import drive, limit_change
@@ -87,7 +87,7 @@ def nearest_surfaces(state, b, x, y, top, meshes):
         nearest = min(nearest, distance)
     if meshes is not None:
         places = state.meshes[b, : state.num_meshes[b]]
-        nearest, _, _ = nearest_mesh(x, y, top, nearest, places, meshes)
+        nearest, _, _ = nearest_mesh(x, y, GROUND_M, top, nearest, places, meshes)
     return nearest, nearest_person, slot
 
 
@@ -283,6 +283,40 @@ def picture(state, b, image, hits, camera):
 
 
 @kernel
+def sense_meshes(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera, meshes):
+    """Adds what `meshes` (a `MeshSet`) the rays of `sense_hits` meet before all else."""
+    ray_x, ray_y = lidar.ray_x.copy(), lidar.ray_y.copy()
+    start_x, start_y = np.zeros(ray_x.shape[0], np.float32), np.zeros(ray_x.shape[0], np.float32)
+    for b in range(first, last):
+        if not which[b] or state.num_meshes[b] == 0:
+            continue
+        x, y, yaw = state.robot_pose[b]
+        if lidar.start < 0.0:
+            linear, angular = state.robot_velocity[b]
+            turn_rays(lidar, angular, ray_x, ray_y)
+            for r in range(ray_x.shape[0]):
+                time = lidar.start + lidar.interval * r
+                start_x[r], start_y[r] = linear * time, angular * lidar.ahead * time
+        number = state.cylinders.shape[1] + state.boxes.shape[1]
+        places = state.meshes[b, : state.num_meshes[b]]
+        pose = (x + math.cos(yaw) * lidar.ahead, y + math.sin(yaw) * lidar.ahead, lidar.height, yaw)
+        rays, reach = (ray_x, ray_y, lidar.ray_z, start_x, start_y), float(lidar.max_range)
+        mesh_scan(scans[b], scan_hits[b], number, *pose, *rays, reach, places, meshes)
+        picture_meshes(state, b, images[b], image_hits[b], camera, meshes)
+
+
+@inner
+def picture_meshes(state, b, image, hits, camera, meshes):
+    """The same for a `picture`."""
+    x, y, yaw = state.robot_pose[b]
+    number = state.cylinders.shape[1] + state.boxes.shape[1]
+    places = state.meshes[b, : state.num_meshes[b]]
+    pose = (x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead, camera.height, yaw)
+    optics = (camera.column_slope, camera.row_slope, camera.pitch, float(camera.max_range))
+    mesh_depth(image, hits, number, *pose, *optics, places, meshes)
+
+
+@kernel
 def limit_ranges(first, last, which, scans, images, scan_most, least, most):
     """Leaves out what is out of range: inf in scans, NaN in images."""
     for b in range(first, last):
@@ -294,45 +328,3 @@ def limit_ranges(first, last, which, scans, images, scan_most, least, most):
             for u in range(images.shape[2]):
                 t = images[b, v, u]
                 images[b, v, u] = t if (t >= least) & (t <= most) else np.float32(np.nan)
-
-
-@kernel
-def sense_meshes(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera, meshes):
-    """Adds the triangle meshes of the marked worlds to what `sense_level` or `sense_hits` measured, however far.
-
-    Args:
-        scan_hits: as in `sense_hits`; of no worlds where nobody asks. `image_hits` alike.
-        meshes: the `MeshSet`.
-    """
-    no_hits, no_pixels = np.empty(0, np.int32), np.empty((0, 0), np.int32)
-    ray_x, ray_y = lidar.ray_x.copy(), lidar.ray_y.copy()
-    start_x, start_y = np.zeros_like(ray_x), np.zeros_like(ray_y)
-    tell, first_triangle = scan_hits.shape[0] > 0, state.cylinders.shape[1] + state.boxes.shape[1]
-    for b in range(first, last):
-        places = state.meshes[b, : state.num_meshes[b]]
-        if not which[b] or places.shape[0] == 0:
-            continue
-        x, y, yaw = state.robot_pose[b]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        if lidar.start < 0.0:
-            linear, angular = state.robot_velocity[b]
-            turn_rays(lidar, angular, ray_x, ray_y)
-            for r in range(ray_x.shape[0]):
-                time = lidar.start + lidar.interval * r
-                start_x[r], start_y[r] = linear * time, angular * lidar.ahead * time
-        mesh_scan(
-            scans[b], scan_hits[b] if tell else no_hits, first_triangle, x + cos * lidar.ahead, y + sin * lidar.ahead,
-            lidar.height, yaw, ray_x, ray_y, lidar.ray_z, start_x, start_y, float(lidar.max_range), places, meshes,
-        )  # fmt: skip
-        mesh_picture(state, b, images[b], image_hits[b] if tell else no_pixels, camera, meshes)
-
-
-@kernel
-def mesh_picture(state, b, image, hits, camera, meshes):
-    """The same for what `picture` shows of one world."""
-    x, y, yaw = state.robot_pose[b]
-    mesh_depth(
-        image, hits, state.cylinders.shape[1] + state.boxes.shape[1], x + math.cos(yaw) * camera.ahead,
-        y + math.sin(yaw) * camera.ahead, camera.height, yaw, camera.column_slope, camera.row_slope, camera.pitch,
-        float(camera.max_range), state.meshes[b, : state.num_meshes[b]], meshes,
-    )  # fmt: skip

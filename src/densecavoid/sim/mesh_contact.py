@@ -1,29 +1,38 @@
 """Meshes in plan view: how far a place is from what a body would hit, for the robot, for people and for free space.
 
-A body that reaches up to `top` hits the triangles' parts between the ground's roughness and `top`, seen from above: the
-same triangles that the rays meet. Inside of a solid, or below or above a surface at those heights, the distance is 0.
+A body hits the triangles' parts between two heights, seen from above: the same triangles that the rays meet. Inside a
+solid, or below or above a surface at those heights, the distance is 0.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from densecavoid.sim._jit import inner, kernel
-from densecavoid.sim.mesh import PLACE_COS, PLACE_NUMBER, PLACE_SIN, PLACE_X, PLACE_Y, PLACE_Z
-from densecavoid.sim.people import ABSENT, STANDING
+from densecavoid.sim.mesh import (
+    PLACE_COS,
+    PLACE_NUMBER,
+    PLACE_SIN,
+    PLACE_X,
+    PLACE_Y,
+    PLACE_Z,
+    MeshPlace,
+    mesh_set,
+    place_rows,
+)
+from densecavoid.sim.people import ABSENT, STANDING, STEP_OVER_M, WALK_UNDER_M
 
 GROUND_M = 0.02
 """What is lower is ground that one rolls or walks over: a scanned room's floor is no obstacle."""
-PERSON_TOP_M = 1.9
-"""People keep clear of what is lower."""
+_PEOPLE = (STEP_OVER_M, WALK_UNDER_M)
 _FORCE = 3.0  # m/s2 on a person at the surface, falling with distance as that of walls (crowds)
 _FORCE_RANGE_M = 0.15
 FORCE_REACH_M = 0.6
 _RELAXATION_S = 0.5  # in which people take on the velocity they intend
 _DIRECTIONS = 16
-_MOST_WAITING = 64  # one a level and one more; two million triangles have 20 levels
 _RINGS = 6  # the nearest of .1 m, each twice as wide as the one before
 
 
@@ -40,12 +49,13 @@ def _nearer_on_segment(best, x, y, ax, ay, bx, by):
 
 
 @inner
-def _nearer_on_triangle(best, x, y, corners, low, high):
+def _nearer_on_triangle(best, x, y, all_corners, triangle, low, high):
     """The same for the part of a triangle [3, 3] between two heights, its inner area left out; also its height there.
 
     Returns:
         (best, height of the triangle over the point or NaN, 1 if it looks up and -1 if down)
     """
+    corners = all_corners[triangle]
     low_x, low_y, high_x, high_y = np.nan, np.nan, np.nan, np.nan
     crossings = 0
     for v in range(3):
@@ -98,49 +108,54 @@ def _box_distance_2(x, y, meshes, node):
 
 
 @kernel
-def nearest_mesh(x, y, top, limit, places, meshes):
-    """How far a world point is from placed meshes [M, 6], for a body that reaches up to `top`, and the way off them.
+def nearest_mesh(x, y, low, top, limit, places, meshes):
+    """How far a world point is from what placed meshes [M, 6] have between two heights, and the way off it.
 
     Returns:
         (distance, offset x, offset y), the offset from the nearest point of a mesh to the given one. All 0 on or inside
         of one; (limit, 0, 0) if none is nearer than `limit`.
     """
     offset_x, offset_y = 0.0, 0.0
-    waiting = np.empty(_MOST_WAITING, np.int64)
     for m in range(places.shape[0]):
         place = places[m]
         k = int(place[PLACE_NUMBER])
         cos, sin = place[PLACE_COS], place[PLACE_SIN]
         rel_x, rel_y = x - place[PLACE_X], y - place[PLACE_Y]
         at_x, at_y = cos * rel_x + sin * rel_y, cos * rel_y - sin * rel_x
-        lowest, highest = GROUND_M - place[PLACE_Z], top - place[PLACE_Z]
+        lowest, highest = low - place[PLACE_Z], top - place[PLACE_Z]
         solid = meshes.solid[k]
         best = (limit * limit, 0.0, 0.0)
         within = 0  # solids around the point at the lowest height, by the surfaces above it
         root, base = meshes.first_node[k], meshes.first_triangle[k]
-        waiting[0], num_waiting = root, 1
-        while num_waiting > 0:
-            num_waiting -= 1
-            node = waiting[num_waiting]
+        # First down to the triangles in the nearer halves: they make most others needless. Then through all.
+        node, end, first_look = root, meshes.first_node[k + 1], True
+        while node < end:
             bottom, peak = meshes.node_low[node, 2], meshes.node_high[node, 2]
             distance_2 = _box_distance_2(at_x, at_y, meshes, node)
             above = solid and distance_2 == 0.0 and peak > highest
-            if peak < lowest or ((bottom > highest or distance_2 >= best[0]) and not above):
+            needless = peak < lowest or ((bottom > highest or distance_2 >= best[0]) and not above)
+            if not needless and meshes.node_count[node] == 0:
+                node += 1
+                other = root + meshes.node_skip[node]
+                if first_look and _box_distance_2(at_x, at_y, meshes, other) < _box_distance_2(
+                    at_x, at_y, meshes, node
+                ):
+                    node = other
                 continue
-            if meshes.node_count[node] == 0:  # the nearer half first: it makes most of the other one needless
-                one, other = node + 1, root + meshes.node_skip[node + 1]
-                if _box_distance_2(at_x, at_y, meshes, one) < _box_distance_2(at_x, at_y, meshes, other):
-                    one, other = other, one
-                waiting[num_waiting], waiting[num_waiting + 1] = one, other
-                num_waiting += 2
-                continue
-            first = base + meshes.node_first[node]
-            for triangle in range(first, first + meshes.node_count[node]):
-                best, height, facing = _nearer_on_triangle(best, at_x, at_y, meshes.corners[triangle], lowest, highest)
-                if height > highest:
-                    within += facing
-                elif height >= lowest:
-                    return 0.0, 0.0, 0.0
+            if not needless:
+                first = base + meshes.node_first[node]
+                for triangle in range(first, first + meshes.node_count[node]):
+                    best, height, facing = _nearer_on_triangle(
+                        best, at_x, at_y, meshes.corners, triangle, lowest, highest
+                    )
+                    if height > highest:
+                        within += facing
+                    elif height >= lowest:
+                        return 0.0, 0.0, 0.0
+            if first_look:
+                node, first_look, within = root, False, 0
+            else:
+                node = root + meshes.node_skip[node]
         if within > 0:
             return 0.0, 0.0, 0.0
         if best[0] < limit * limit:
@@ -150,10 +165,17 @@ def nearest_mesh(x, y, top, limit, places, meshes):
 
 
 @kernel
-def lessen_clearances(points, top, places, meshes, clearances):
-    """Lessens each point's clearance to its distance from meshes."""
+def _lessen(points, low, top, places, meshes, clearances):
     for n in range(points.shape[0]):
-        clearances[n], _, _ = nearest_mesh(points[n, 0], points[n, 1], top, clearances[n], places, meshes)
+        clearances[n], _, _ = nearest_mesh(points[n, 0], points[n, 1], low, top, clearances[n], places, meshes)
+
+
+def lessen_by_meshes(placed: Sequence[MeshPlace], points: np.ndarray, low: float, top: float, clearances: np.ndarray):
+    """Lessens clearances [N] of points [N, 2] to their distances from what meshes have between two heights (m)."""
+    if placed:
+        meshes = tuple(dict.fromkeys(place.mesh for place in placed))
+        places = place_rows(placed, [meshes.index(place.mesh) for place in placed])
+        _lessen(points, max(low, GROUND_M), top, places, mesh_set(meshes), clearances)
 
 
 @inner
@@ -162,7 +184,7 @@ def _way_out(x, y, places, meshes):
     for k in range(_RINGS * _DIRECTIONS):
         reach, bearing = 0.1 * 2.0 ** (k // _DIRECTIONS), k % _DIRECTIONS * 2.0 * math.pi / _DIRECTIONS
         step_x, step_y = reach * math.cos(bearing), reach * math.sin(bearing)
-        if nearest_mesh(x + step_x, y + step_y, PERSON_TOP_M, 1e-3, places, meshes)[0] > 0.0:
+        if nearest_mesh(x + step_x, y + step_y, *_PEOPLE, 1e-3, places, meshes)[0] > 0.0:
             return step_x, step_y
     return 0.0, 0.0
 
@@ -183,7 +205,7 @@ def part_people_from_meshes(state, b, meshes, intended, reach):
             continue
         x, y, radius = state.pos[b, i, 0], state.pos[b, i, 1], state.radius[b, i]
         limit = radius + reach
-        distance, off_x, off_y = nearest_mesh(x, y, PERSON_TOP_M, limit, places, meshes)
+        distance, off_x, off_y = nearest_mesh(x, y, *_PEOPLE, limit, places, meshes)
         if distance >= limit:
             continue
         if reach > 0.0:

@@ -64,9 +64,9 @@ def returns(config: SensorNoiseConfig, lidar: LidarConfig) -> Returns:
 
 
 @inner
-def _light(solids, hit, origin, ray, distance, optics, meshes):
+def _light(solids, hit, origin, ray, distance, optics):
     """Light that comes back from `distance` along a unit `ray`; 1 is what comes from reflectance 1 at 1 m."""
-    material = material_at(solids, hit, _GROUND, _CEILING, meshes)
+    material = material_at(solids, hit, _GROUND, _CEILING)
     if material == CLOTHES:
         tone = share_of(hash_of(np.uint64(solids.person_id[hit // PARTS]), 17))
         reflectance = _CLOTHES_INFRARED[0] + (_CLOTHES_INFRARED[1] - _CLOTHES_INFRARED[0]) * tone
@@ -75,7 +75,7 @@ def _light(solids, hit, origin, ray, distance, optics, meshes):
     else:
         reflectance = float(optics.infrared[material])
     x, y, z = origin[0] + distance * ray[0], origin[1] + distance * ray[1], origin[2] + distance * ray[2]
-    n_x, n_y, n_z = normal_at(solids, hit, x, y, z, meshes)
+    n_x, n_y, n_z = normal_at(solids, hit, x, y, z)
     return reflectance * abs(n_x * ray[0] + n_y * ray[1] + n_z * ray[2]) / max(distance * distance, 1e-6)
 
 
@@ -105,10 +105,10 @@ def glass_distance(boxes, k, origin, ray):
 
 
 @inner
-def _what_returns(solids, distance, hit, origin, ray, reach, peak, optics, weak_key, glass_key, index, meshes):
+def _what_returns(solids, distance, hit, origin, ray, reach, peak, optics, weak_key, glass_key, index):
     """Distance along a unit `ray` that a real sensor measures, given what it meets first behind all glass; or inf."""
     if hit != NOTHING and _too_weak(
-        _light(solids, hit, origin, ray, distance, optics, meshes), reach, hash_of(weak_key, index)
+        _light(solids, hit, origin, ray, distance, optics), reach, hash_of(weak_key, index)
     ):
         distance = np.inf
     for k in range(solids.first_glass, solids.num_boxes):
@@ -131,7 +131,7 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
     for b in range(first, last):
         if not which[b]:
             continue
-        solids, step = solids_of(state, b), state.step_count[b]
+        solids, step = solids_of(state, b, meshes), state.step_count[b]
         x, y, yaw = state.robot_pose[b]
         cos, sin = math.cos(yaw), math.sin(yaw)
         weak, glass = sensor_key(seeds[b], step, _WEAK_SCAN), sensor_key(seeds[b], step, _GLASS_SCAN)
@@ -141,18 +141,7 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
             ray = (cos * ahead - sin * left, sin * ahead + cos * left, float(lidar.ray_z[r]))
             hit, distance = scan_hits[b, r], float(scans[b, r])
             scans[b, r] = _what_returns(
-                solids,
-                distance,
-                hit,
-                origin,
-                ray,
-                optics.lidar_reach,
-                optics.lidar_glass,
-                optics,
-                weak,
-                glass,
-                r,
-                meshes,
+                solids, distance, hit, origin, ray, optics.lidar_reach, optics.lidar_glass, optics, weak, glass, r
             )
         weak, glass = sensor_key(seeds[b], step, _WEAK_IMAGE), sensor_key(seeds[b], step, _GLASS_IMAGE)
         origin = (x + cos * camera.ahead, y + sin * camera.ahead, camera.height)
@@ -169,8 +158,19 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
                     rise / length,
                 )
                 hit, distance = image_hits[b, v, u], length * float(images[b, v, u])
-                reach, peak, pixel = optics.camera_reach, optics.camera_glass, v * width + u
-                distance = _what_returns(
-                    solids, distance, hit, origin, ray, reach, peak, optics, weak, glass, pixel, meshes
+                images[b, v, u] = (
+                    _what_returns(
+                        solids,
+                        distance,
+                        hit,
+                        origin,
+                        ray,
+                        optics.camera_reach,
+                        optics.camera_glass,
+                        optics,
+                        weak,
+                        glass,
+                        v * width + u,
+                    )
+                    / length
                 )
-                images[b, v, u] = distance / length

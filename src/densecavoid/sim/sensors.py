@@ -16,8 +16,6 @@ from densecavoid.sim.lidar import lidar_optics
 from densecavoid.sim.mesh import MeshSet
 from densecavoid.sim.state import WorldState
 
-_NO_LIMITS = np.float32(np.inf), np.float32(0.0), np.float32(np.inf)
-
 
 class DelayLine:
     """Frames of one sensor, given out at its own rate and some control steps after they were measured."""
@@ -121,18 +119,18 @@ class SensorSuite:
         def each(kernel: Callable, *args: object) -> None:
             for_worlds(kernel, num_worlds, threads, *args)
 
-        tell = len(self._hits[0]) > 0
-        if tell:
+        if meshes is not None and not len(self._hits[0]):  # meshes are met by the general kernels alone
+            self._hits = np.zeros(scan.frame.shape, np.int32), np.zeros(depth.frame.shape, np.int32)
+        if len(self._hits[0]):
             each(kernels.sense_hits, state, which, *frames, *self._hits, *optics)
-        else:
-            limits = self._limits if meshes is None else _NO_LIMITS
-            each(kernels.sense_level, state, which, *frames, *optics, *limits)
-        if meshes is not None:
-            each(kernels.sense_meshes, state, which, *frames, *self._hits, *optics, meshes)
-        if self.real:
-            each(returns.lose_returns, state, which, self._seeds, *frames, *self._hits, *optics, self._returns, meshes)
-        if tell or meshes is not None:
+            if meshes is not None:
+                each(kernels.sense_meshes, state, which, *frames, *self._hits, *optics, meshes)
+            if self.real:
+                seen = *frames, *self._hits
+                each(returns.lose_returns, state, which, self._seeds, *seen, *optics, self._returns, meshes)
             each(kernels.limit_ranges, which, *frames, *self._limits)
+        else:
+            each(kernels.sense_level, state, which, *frames, *optics, *self._limits)
         odometry = state.robot_pose
         if self.real:
             odometry = self._odometry

@@ -24,7 +24,7 @@ from densecavoid.sim.geometry import (
     CYL_Z_MAX,
     CYL_Z_MIN,
 )
-from densecavoid.sim.mesh import PLACE_COS, PLACE_NUMBER, PLACE_SIN
+from densecavoid.sim.mesh import PLACE_COS, PLACE_NUMBER, PLACE_SIN, MeshSet
 from densecavoid.sim.mesh_rays import triangle_of_hit
 from densecavoid.sim.people import HEAD, PARTS
 
@@ -71,14 +71,13 @@ class Solids(NamedTuple):
     person_id: np.ndarray  # i32 [people]
     first_glass: int
     num_boxes: int
-    first_triangle: int
-    """Number of the first triangle of a mesh."""
-    places: np.ndarray  # f64 [.., 6] of meshes
+    places: np.ndarray  # f64 [M, 6] of meshes
+    meshes: MeshSet | None
 
 
 @kernel
-def solids_of(state, b):
-    """The solids of world b."""
+def solids_of(state, b, meshes):
+    """The solids of world b, and the set its meshes are from, or None."""
     return Solids(
         state.cylinders[b],
         state.boxes[b],
@@ -87,45 +86,56 @@ def solids_of(state, b):
         state.person_id[b],
         state.num_boxes[b] - state.num_glass[b],
         state.num_boxes[b],
-        state.cylinders.shape[1] + state.boxes.shape[1],
-        state.meshes[b, : state.num_meshes[b]],
+        state.meshes[b],
+        meshes,
     )
 
 
 @inner
-def triangle_normal(solids, hit, meshes):
-    """Unit normal of a placed mesh's triangle."""
-    place, triangle = triangle_of_hit(hit - solids.first_triangle, solids.places, meshes)
+def _mesh_normal(meshes, places, number):
+    """Unit normal of a mesh's triangle. Without meshes there is none, and numba leaves out the rest."""
+    if meshes is None:
+        return 0.0, 0.0, 1.0
+    m, triangle = triangle_of_hit(number, places, meshes)
     a, b, c = meshes.corners[triangle, 0], meshes.corners[triangle, 1], meshes.corners[triangle, 2]
-    p_x, p_y, p_z = float(b[0] - a[0]), float(b[1] - a[1]), float(b[2] - a[2])
-    q_x, q_y, q_z = float(c[0] - a[0]), float(c[1] - a[1]), float(c[2] - a[2])
-    x, y, z = p_y * q_z - p_z * q_y, p_z * q_x - p_x * q_z, p_x * q_y - p_y * q_x
-    scale = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-12)
-    cos, sin = solids.places[place, PLACE_COS] * scale, solids.places[place, PLACE_SIN] * scale
-    return cos * x - sin * y, sin * x + cos * y, scale * z
+    px, py, pz = float(b[0] - a[0]), float(b[1] - a[1]), float(b[2] - a[2])
+    qx, qy, qz = float(c[0] - a[0]), float(c[1] - a[1]), float(c[2] - a[2])
+    x, y, z = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    scale = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-30)
+    cos, sin = places[m, PLACE_COS] * scale, places[m, PLACE_SIN] * scale
+    return cos * x - sin * y, sin * x + cos * y, z * scale
 
 
 @inner
-def normal_at(solids, hit, x, y, z, meshes):
-    """Unit normal of what a ray has met at a point, outward; `meshes` is None where no world has one."""
+def _mesh_material(meshes, places, number):
+    """Number of the material of a mesh."""
+    if meshes is None:
+        return 0
+    m, _ = triangle_of_hit(number, places, meshes)
+    return np.int64(meshes.material[int(places[m, PLACE_NUMBER])])
+
+
+@inner
+def normal_at(solids, hit, x, y, z):
+    """Unit normal of what a ray has met at a point, outward."""
     if hit < 0:
         return 0.0, 0.0, -1.0 if hit == CEILING else 1.0
     if hit < solids.cylinders.shape[0]:
         return cylinder_normal(solids.cylinders, hit, x, y, z)
-    if meshes is not None and hit >= solids.first_triangle:  # without meshes numba leaves this out
-        return triangle_normal(solids, hit, meshes)
-    return box_normal(solids.boxes, hit - solids.cylinders.shape[0], x, y, z)
+    hit -= solids.cylinders.shape[0]
+    if hit < solids.boxes.shape[0]:
+        return box_normal(solids.boxes, hit, x, y, z)
+    return _mesh_normal(solids.meshes, solids.places, hit - solids.boxes.shape[0])
 
 
 @inner
-def material_at(solids, hit, ground, ceiling, meshes):
+def material_at(solids, hit, ground, ceiling):
     """Number of the material of what a ray has met, or CLOTHES or SKIN of a person.
 
     Args:
         solids: of the world.
         hit: not NOTHING.
         ground: number of the ground's material; `ceiling` alike.
-        meshes: None where no world has one.
     """
     people_parts = PARTS * solids.person_id.shape[0]
     if hit < 0:
@@ -134,7 +144,7 @@ def material_at(solids, hit, ground, ceiling, meshes):
         return SKIN if hit % PARTS == HEAD else CLOTHES
     if hit < solids.cylinders.shape[0]:
         return np.int64(solids.cylinder_material[hit - people_parts])
-    if meshes is not None and hit >= solids.first_triangle:
-        place, _ = triangle_of_hit(hit - solids.first_triangle, solids.places, meshes)
-        return np.int64(meshes.material[int(solids.places[place, PLACE_NUMBER])])
-    return np.int64(solids.box_material[hit - solids.cylinders.shape[0]])
+    hit -= solids.cylinders.shape[0]
+    if hit < solids.boxes.shape[0]:
+        return np.int64(solids.box_material[hit])
+    return _mesh_material(solids.meshes, solids.places, hit - solids.boxes.shape[0])
