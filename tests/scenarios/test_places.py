@@ -9,8 +9,8 @@ import pytest
 
 from densecavoid.frames import Command
 from densecavoid.scenarios import PLACES
-from densecavoid.scenarios.free_space import FOR_PEOPLE, clear_path, clearances_m
-from densecavoid.scenarios.walk_net import BODY_ROOM_M, walk_net, way_is_clear
+from densecavoid.scenarios.free_space import FOR_PEOPLE, clear_path, clearances_m, way_is_clear
+from densecavoid.scenarios.walk_net import BODY_ROOM_M, walk_net
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import STANDING, WANDERING
 from densecavoid.sim.spec import WorldSpec
