@@ -22,7 +22,7 @@ from densecavoid.frames import Command
 from densecavoid.scenarios.free_space import free_points
 from densecavoid.sim._jit import available_threads
 from densecavoid.sim.floorplan import FloorPlan
-from densecavoid.sim.people import WANDERING
+from densecavoid.sim.people import PARTS, WANDERING
 from densecavoid.sim.spec import Crowd, WorldSpec
 from densecavoid.sim.world import SimConfig, Simulator
 
@@ -127,7 +127,7 @@ def compare_with_peers(simulator: Simulator, seconds: float) -> dict[str, float]
         theirs["pybullet, rendered depth"].append(scan + median_us(bullet.depth_image(camera, pose), share))
         bullet.close()
     ours = median_us(simulator.sense, seconds / 2) / simulator.num_worlds
-    solids = len(simulator.floor_plan(0).boxes) + len(simulator.floor_plan(0).cylinders) + 4 * PEOPLE
+    solids = len(simulator.floor_plan(0).boxes) + len(simulator.floor_plan(0).cylinders) + PARTS * PEOPLE
     count = lidar.num_rays + camera.width * camera.height
     print(f"{ours:9.1f} us to sense a world  (one thread, {count} rays, {solids} solids)")
     for name, times in theirs.items():

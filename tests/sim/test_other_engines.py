@@ -10,6 +10,7 @@ pytest.importorskip("pybullet")
 
 from densecavoid.frames import CameraConfig, Command, LidarConfig
 from densecavoid.scenarios import make_scenario
+from densecavoid.sim.people import LEFT_TRUNK
 from densecavoid.sim.world import SimConfig, Simulator
 from peers.ray_engines import Hits, MujocoRays, PybulletRays, camera_rays, lidar_rays
 
@@ -120,7 +121,7 @@ def test_people_and_furniture_are_all_in_the_exported_world():
     parts = bodies[bodies[..., 2] > 0]
     assert model.ngeom == 2 + len(plan.boxes) + len(plan.cylinders) + len(parts)
     names = [model.geom(i).name for i in range(model.ngeom)]
-    person = names.index("person-0-trunk")
-    x, y, radius, z_min, z_max = bodies[0, 2]
+    person = names.index("person-0-left-trunk")
+    x, y, radius, z_min, z_max = bodies[0, LEFT_TRUNK]
     np.testing.assert_allclose(model.geom_pos[person], [x, y, (z_min + z_max) / 2], rtol=1e-12)
     np.testing.assert_allclose(model.geom_size[person, :2], [radius, (z_max - z_min) / 2], rtol=1e-12)

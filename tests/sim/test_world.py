@@ -108,14 +108,14 @@ def one_person(x: float, speed: float, behaviour: int, goal_x: float = -20.0) ->
 
 def test_driving_into_a_standing_person_is_at_fault():
     sim = simulate(crowd=one_person(1.5, 0.5, STANDING))
-    drive(sim, 1.0, steps=10)
+    drive(sim, 1.0, steps=11)  # x = 1.1; the body is half of .28 m deep
     assert sim.collided[0] and sim.collided_person[0] == 0 and sim.fault[0]
     assert sim.clearance_people_m[0] == pytest.approx(0.30, abs=0.051)
 
 
 def test_being_walked_into_while_standing_is_not_at_fault():
     sim = simulate(crowd=one_person(2.0, 1.0, TRAVERSING))
-    drive(sim, 0.0, steps=15)
+    drive(sim, 0.0, steps=18)
     assert sim.collided[0] and sim.collided_person[0] == 0 and not sim.fault[0]
 
 
@@ -241,8 +241,8 @@ def test_people_appear_at_the_asked_distance_once_the_robot_has_come_three_metre
         for b in np.flatnonzero(just):
             came = np.hypot(*(sim.robot_pose[b, :2] - sim.start_pose[b, :2]))
             assert 2.99 <= came <= 3.11
-            gap = np.hypot(*(people.pos_w[b] - sim.robot_pose[b, :2]).T) - people.radius_m[b]
-            gap = gap[people.active[b]]
+            parts = sim.body_cylinders(int(b))[people.active[b]]
+            gap = np.hypot(*(parts[..., :2] - sim.robot_pose[b, :2]).transpose(2, 0, 1)) - parts[..., 2]
             assert band[0] - 0.11 <= gap.min() <= band[1] + 0.01  # the robot may have moved on by one step
             free_left = 2.0 - (people.pos_w[b, :, 1] + people.radius_m[b])[people.active[b]].max()
             free_right = 2.0 + (people.pos_w[b, :, 1] - people.radius_m[b])[people.active[b]].min()

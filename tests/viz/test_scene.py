@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -67,7 +69,7 @@ def test_things_are_drawn_where_they_stand():
     canvas = Canvas(View((0.0, 0.0), 0, 20.0, 200, 120))
     canvas.floor_plan(plan)
     canvas.robot(np.array([0.0, 2.0, 0.0]), 0.3)
-    canvas.person(np.array([0.0, -2.0]), np.zeros(2), 0.3)
+    canvas.person(np.array([0.0, -2.0]), None, 0.3)
     image = canvas.image()
     assert image.size == (200, 120)
 
@@ -77,5 +79,22 @@ def test_things_are_drawn_where_they_stand():
     assert at(2.0, 1.0) == theme.FURNITURE
     assert at(-2.0, -1.0) == theme.WALL
     assert at(-0.24, 2.0) == theme.ROBOT
-    assert at(0.0, -2.0) == theme.PERSON
+    assert at(0.0, -2.0) == theme.PERSON_EDGE  # the head
+    assert at(0.2, -2.0) == at(0.0, -1.8) == theme.PERSON
     assert at(3.5, -2.0) == theme.CARD
+
+
+@pytest.mark.parametrize("heading", [0.0, math.pi / 2, math.pi, -math.pi / 2])
+def test_people_have_shoulders_across_their_way_and_lean_towards_it(heading: float):
+    canvas = Canvas(View((0.0, 0.0), 0, 100.0, 100, 100))
+    canvas.person(np.zeros(2), heading, 0.3)
+    image = canvas.image()
+
+    def at(ahead: float, left: float) -> tuple:
+        x = math.cos(heading) * ahead - math.sin(heading) * left
+        y = math.sin(heading) * ahead + math.cos(heading) * left
+        return image.getpixel((round(50 + 100 * x), round(50 - 100 * y)))  # type: ignore[return-value]
+
+    assert at(0.0, 0.25) == at(0.0, -0.25) == at(-0.1, 0.0) == theme.PERSON
+    assert at(0.07, 0.0) == theme.PERSON_EDGE
+    assert at(0.25, 0.0) == at(-0.25, 0.0) == at(0.14, 0.27) == theme.CARD

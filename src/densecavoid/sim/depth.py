@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.frames import CameraConfig
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner
 from densecavoid.sim.geometry import (
     BOX_COS,
     BOX_HALF_LENGTH,
@@ -59,7 +59,7 @@ def camera_optics(config: CameraConfig) -> CameraOptics:
     )
 
 
-@kernel
+@inner
 def _column_span(bearing, half_width, half_fov, focal, width):
     """First and one-past-last column, from the left, that can show something at `bearing` +- `half_width`."""
     left, right = min(bearing + half_width, half_fov), max(bearing - half_width, -half_fov)
@@ -70,19 +70,34 @@ def _column_span(bearing, half_width, half_fov, focal, width):
     return max(0, first), min(width, last)
 
 
-@kernel
+@inner
 def _fill_column(column, row_slope, entry, leave, z_min, z_max):
+    """A prism whose footprint the column's rays cross in [entry, leave] > 0, against the rows that may show it."""
+    rows = column.shape[0]
+    near = max(entry, np.float32(1e-3))
+    top = z_max / (near if z_max > np.float32(0.0) else leave)
+    bottom = z_min / (near if z_min < np.float32(0.0) else leave)
+    per_slope = np.float32(rows - 1) / (row_slope[0] - row_slope[rows - 1])
+    first = max(0, math.ceil((row_slope[0] - top) * per_slope - np.float32(1e-2)))
+    last = min(rows, math.floor((row_slope[0] - bottom) * per_slope + np.float32(1e-2)) + 1)
+    if first < last:
+        _meet_rows(column[first:last], row_slope[first:last], entry, leave, z_min, z_max)
+
+
+@inner
+def _meet_rows(column, row_slope, entry, leave, z_min, z_max):
     for r in range(column.shape[0]):
         t = prism_distance(entry, leave, row_slope[r], z_min, z_max)
         column[r] = t if t < column[r] else column[r]
 
 
-@kernel
-def render_level_depth(image, columns, camera, x, y, yaw, ceiling, boxes, cylinders):
-    """Casts the rays of a level camera at (x, y) that looks along `yaw`; depths are not yet limited to its range.
+@inner
+def render_level_depth(image, columns, camera, x, y, yaw, ceiling, boxes, cylinders, least, most):
+    """Casts the rays of a level camera at (x, y) that looks along `yaw`.
 
     Args:
-        image: [height, width] gets the depths; inf where a ray meets nothing within the camera's range.
+        image: [height, width] gets the depths from `least` to `most`, NaN elsewhere. What meets nothing within the
+            camera's range is at inf.
         columns: [width, height] scratch space: the same image with the rows innermost, where loops vectorise.
     """
     column_slope, row_slope = camera.column_slope, camera.row_slope
@@ -98,8 +113,10 @@ def render_level_depth(image, columns, camera, x, y, yaw, ceiling, boxes, cylind
             flat = np.float32(-height / slope)
         elif slope > 0.0:
             flat = np.float32((ceiling - height) / slope)
-        for c in range(width):
-            columns[c, r] = flat
+        columns[0, r] = flat
+    for c in range(1, width):
+        for r in range(rows):
+            columns[c, r] = columns[0, r]
     cos, sin = math.cos(yaw), math.sin(yaw)
     for i in range(cylinders.shape[0]):
         cylinder = cylinders[i]
@@ -141,12 +158,13 @@ def render_level_depth(image, columns, camera, x, y, yaw, ceiling, boxes, cylind
             entry, leave = rectangle_interval(local_x, local_y, box[BOX_HALF_LENGTH], box[BOX_HALF_WIDTH], ray_x, ray_y)
             if leave >= entry and entry <= max_range and leave >= 0.0:
                 _fill_column(columns[c], row_slope, entry, leave, z_min, z_max)
-    for c in range(width):
-        for r in range(rows):
-            image[r, c] = columns[c, r]
+    for r in range(rows):
+        for c in range(width):
+            t = columns[c, r]
+            image[r, c] = t if (t >= least) & (t <= most) else np.float32(np.nan)
 
 
-@kernel
+@inner
 def _row_span(tan_left, tan_right, focal, width):
     """First and one-past-last column of one row that can show what lies between two slopes (left per forward)."""
     first = math.ceil(0.5 * width - 0.5 - tan_left * focal - 1e-3)
@@ -154,7 +172,7 @@ def _row_span(tan_left, tan_right, focal, width):
     return max(0, first), min(width, last)
 
 
-@kernel
+@inner
 def _slopes_of_disc(forward, left, radius):
     """Slopes (left per forward) between which a disc is seen from the origin; an empty span behind it."""
     distance = math.sqrt(forward * forward + left * left)
@@ -166,14 +184,36 @@ def _slopes_of_disc(forward, left, radius):
     return math.tan(upper), math.tan(lower)
 
 
-@kernel
-def _meet(image, hits, r, c, t, number):
-    nearer = t < image[r, c]
-    image[r, c] = t if nearer else image[r, c]
-    hits[r, c] = number if nearer else hits[r, c]
+@inner
+def _meet_disc(row, hits, column_slope, forward, rise, x, y, radius, z_min, z_max, number):
+    """A cylinder at (x, y) from the camera against the pixels of a row that may show it."""
+    for c in range(row.shape[0]):
+        entry, leave = disc_interval(x, y, radius, forward, column_slope[c])
+        t = prism_distance(entry, leave, rise, z_min, z_max)
+        nearer = t < row[c]
+        hits[c] = number if nearer else hits[c]
+        row[c] = t if nearer else row[c]
 
 
-@kernel
+@inner
+def _meet_rectangle(row, hits, column_slope, forward, rise, x, y, cos, sin, half_x, half_y, z_min, z_max, number):
+    """The same of a box, in whose frame the camera is at (x, y); (cos, sin) turn the rays into that frame."""
+    for c in range(row.shape[0]):
+        local_x, local_y = cos * forward - sin * column_slope[c], sin * forward + cos * column_slope[c]
+        entry, leave = rectangle_interval(x, y, half_x, half_y, local_x, local_y)
+        t = prism_distance(entry, leave, rise, z_min, z_max)
+        nearer = t < row[c]
+        hits[c] = number if nearer else hits[c]
+        row[c] = t if nearer else row[c]
+
+
+@inner
+def _pitched(slope, cos_pitch, sin_pitch):
+    """Forward and upward part of a row's rays of depth 1, in the robot's upright frame."""
+    return cos_pitch + slope * sin_pitch, slope * cos_pitch - sin_pitch
+
+
+@inner
 def render_depth(image, hits, camera, x, y, yaw, ceiling, boxes, cylinders, first_box):
     """Casts the rays of a camera of any pitch at (x, y), turned to `yaw`; depths are not yet limited to its range.
 
@@ -187,17 +227,15 @@ def render_depth(image, hits, camera, x, y, yaw, ceiling, boxes, cylinders, firs
     rows, width = image.shape
     focal = (width - 1) / (column_slope[0] - column_slope[width - 1])
     # A ray of depth 1 in the robot's upright frame: `forward`, the column's slope to the left, and `rise`.
-    cos_pitch, sin_pitch = math.cos(camera.pitch), math.sin(camera.pitch)
-    forward, rise = np.empty(rows, np.float32), np.empty(rows, np.float32)
+    cos_pitch, sin_pitch = np.float32(math.cos(camera.pitch)), np.float32(math.sin(camera.pitch))
     for r in range(rows):
-        forward[r] = cos_pitch + row_slope[r] * sin_pitch
-        rise[r] = row_slope[r] * cos_pitch - sin_pitch
-        down = rise[r] < 0.0
+        _, rise = _pitched(row_slope[r], cos_pitch, sin_pitch)
+        down = rise < 0.0
         flat = np.float32(-height if down else ceiling - height)
-        meets = abs(rise[r]) > np.float32(1e-9) and flat < MISS
-        image[r] = flat / rise[r] if meets else MISS
+        meets = abs(rise) > np.float32(1e-9) and flat < MISS
+        image[r] = flat / rise if meets else MISS
         hits[r] = (GROUND if down else CEILING) if meets else NOTHING
-    reach = camera.max_range * forward.max()
+    reach = camera.max_range * (cos_pitch + abs(sin_pitch) * row_slope[0])
     cos, sin = math.cos(yaw), math.sin(yaw)
     for i in range(cylinders.shape[0]):
         cylinder = cylinders[i]
@@ -212,10 +250,12 @@ def render_depth(image, hits, camera, x, y, yaw, ceiling, boxes, cylinders, firs
         tan_left, tan_right = _slopes_of_disc(centre_x, centre_y, radius)
         z_min, z_max = np.float32(cylinder[CYL_Z_MIN] - height), np.float32(cylinder[CYL_Z_MAX] - height)
         for r in range(rows):
-            first, last = _row_span(tan_left, tan_right, focal * forward[r], width)
-            for c in range(first, last):
-                entry, leave = disc_interval(centre_x, centre_y, radius, forward[r], column_slope[c])
-                _meet(image, hits, r, c, prism_distance(entry, leave, rise[r], z_min, z_max), i)
+            forward, rise = _pitched(row_slope[r], cos_pitch, sin_pitch)
+            first, last = _row_span(tan_left, tan_right, focal * forward, width)
+            if first < last:
+                row, met, slopes = image[r, first:last], hits[r, first:last], column_slope[first:last]
+                number = np.int32(i)
+                _meet_disc(row, met, slopes, forward, rise, centre_x, centre_y, radius, z_min, z_max, number)
     for i in range(boxes.shape[0]):
         box = boxes[i]
         rel_x, rel_y = box[BOX_X] - x, box[BOX_Y] - y
@@ -232,9 +272,22 @@ def render_depth(image, hits, camera, x, y, yaw, ceiling, boxes, cylinders, firs
         turn_sin = np.float32(box_cos * sin - box_sin * cos)
         z_min, z_max = np.float32(box[BOX_Z_MIN] - height), np.float32(box[BOX_Z_MAX] - height)
         for r in range(rows):
-            first, last = _row_span(tan_left, tan_right, focal * forward[r], width)
-            for c in range(first, last):
-                ray_x = turn_cos * forward[r] - turn_sin * column_slope[c]
-                ray_y = turn_sin * forward[r] + turn_cos * column_slope[c]
-                entry, leave = rectangle_interval(local_x, local_y, half_x, half_y, ray_x, ray_y)
-                _meet(image, hits, r, c, prism_distance(entry, leave, rise[r], z_min, z_max), first_box + i)
+            forward, rise = _pitched(row_slope[r], cos_pitch, sin_pitch)
+            first, last = _row_span(tan_left, tan_right, focal * forward, width)
+            if first < last:
+                _meet_rectangle(
+                    image[r, first:last],
+                    hits[r, first:last],
+                    column_slope[first:last],
+                    forward,
+                    rise,
+                    local_x,
+                    local_y,
+                    turn_cos,
+                    turn_sin,
+                    half_x,
+                    half_y,
+                    z_min,
+                    z_max,
+                    np.int32(first_box + i),
+                )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner
 
 NOTHING, GROUND, CEILING = -1, -2, -3
 """What a ray meets when it meets no solid. Solids are numbered in a world: cylinders by row, then boxes, then the
@@ -18,7 +18,7 @@ BOX_X, BOX_Y, BOX_COS, BOX_SIN, BOX_HALF_LENGTH, BOX_HALF_WIDTH, BOX_Z_MIN, BOX_
 CYL_X, CYL_Y, CYL_RADIUS, CYL_Z_MIN, CYL_Z_MAX = range(5)
 
 
-@kernel
+@inner
 def rectangle_offset(x, y, box):
     """Signed distance from a point to a rectangle's edge (negative inside), and the outward unit normal there."""
     cos, sin = box[BOX_COS], box[BOX_SIN]
@@ -36,7 +36,7 @@ def rectangle_offset(x, y, box):
     return distance, cos * normal_x - sin * normal_y, sin * normal_x + cos * normal_y
 
 
-@kernel
+@inner
 def disc_offset(x, y, cylinder):
     """Signed distance from a point to a disc's edge (negative inside), and the outward unit normal there."""
     rel_x, rel_y = x - cylinder[CYL_X], y - cylinder[CYL_Y]

@@ -14,16 +14,16 @@ from densecavoid.sim.depth import camera_optics
 from densecavoid.sim.geometry import GROUND, NOTHING
 from densecavoid.sim.kernels import picture
 from densecavoid.sim.materials import GLASS, material_colours, material_number
-from densecavoid.sim.people import PARTS
+from densecavoid.sim.people import PARTS, RIGHT_LEG
 from densecavoid.sim.returns import glass_distance
 from densecavoid.sim.state import WorldState
-from densecavoid.sim.surfaces import CLOTHES, SKIN, material_at, normal_at
+from densecavoid.sim.surfaces import CLOTHES, SKIN, material_at, normal_at, solids_of
 
 CLASSES = ("nothing", "ground", "ceiling", "thing", "glass", "person")
 """What the numbers of a segmentation image mean."""
 
 _NOTHING, _GROUND, _CEILING, _THING, _GLASS, _PERSON = range(len(CLASSES))
-_SKY = (0.62, 0.74, 0.88)
+_SKY = np.array([(0.62, 0.74, 0.88)], np.float32)
 _CLOTHES = np.array(
     [
         (0.13, 0.16, 0.25),
@@ -58,23 +58,23 @@ class Images(NamedTuple):
 
 
 @inner
-def _colour(state, b, hit, x, y, z, colours, ground, ceiling):
-    """Colour of a surface in white light."""
-    material = material_at(state, b, hit, ground, ceiling)
-    if material == SKIN:
-        return _SKINS[state.person_id[b, hit // PARTS] % len(_SKINS)]
-    if material == CLOTHES:  # trousers and shirt: two colours that seldom repeat together
-        return _CLOTHES[(5 * state.person_id[b, hit // PARTS] + (3 if hit % PARTS < 2 else 0)) % len(_CLOTHES)]
-    colour = colours[material]
-    if hit == GROUND and (math.floor(x / _TILE_M) + math.floor(y / _TILE_M)) % 2 == 0:
-        return colour * np.float32(0.9)
-    return colour
-
-
-@kernel
-def _write(pixel, colour, brightness):
+def _write(pixel, colours, k, brightness):
     for channel in range(3):
-        pixel[channel] = np.uint8(min(255.0, 255.0 * brightness * colour[channel]))
+        pixel[channel] = np.uint8(min(255.0, 255.0 * brightness * colours[k, channel]))
+
+
+@inner
+def _paint(pixel, solids, hit, x, y, colours, ground, ceiling, brightness):
+    """Writes the colour of a surface in light of some brightness."""
+    material = material_at(solids, hit, ground, ceiling)
+    if material == SKIN:
+        _write(pixel, _SKINS, solids.person_id[hit // PARTS] % len(_SKINS), brightness)
+    elif material == CLOTHES:  # trousers and shirt: two colours that seldom repeat together
+        piece = 5 * solids.person_id[hit // PARTS] + (3 if hit % PARTS <= RIGHT_LEG else 0)
+        _write(pixel, _CLOTHES, piece % len(_CLOTHES), brightness)
+    else:
+        dark_tile = hit == GROUND and (math.floor(x / _TILE_M) + math.floor(y / _TILE_M)) % 2 == 0
+        _write(pixel, colours, material, brightness * (0.9 if dark_tile else 1.0))
 
 
 @kernel
@@ -84,14 +84,26 @@ def draw_images(first, last, state, which, rgb, depth, segmentation, instance, h
         if not which[b]:
             continue
         picture(state, b, depth[b], hits[b], camera)
-        shade(state, b, rgb[b], depth[b], segmentation[b], instance[b], hits[b], camera, colours, ground, ceiling)
+        shade(
+            solids_of(state, b),
+            state.robot_pose[b],
+            rgb[b],
+            depth[b],
+            segmentation[b],
+            instance[b],
+            hits[b],
+            camera,
+            colours,
+            ground,
+            ceiling,
+        )
 
 
 @inner
-def shade(state, b, rgb, depth, segmentation, instance, hits, camera, colours, ground, ceiling):
+def shade(solids, pose, rgb, depth, segmentation, instance, hits, camera, colours, ground, ceiling):
     """Colours one image whose depths and hits are known, and limits its depths to the camera's range."""
     cos_pitch, sin_pitch = math.cos(camera.pitch), math.sin(camera.pitch)
-    x, y, yaw = state.robot_pose[b]
+    x, y, yaw = pose
     cos, sin = math.cos(yaw), math.sin(yaw)
     origin = (x + cos * camera.ahead, y + sin * camera.ahead, camera.height)
     for v in range(depth.shape[0]):
@@ -105,24 +117,24 @@ def shade(state, b, rgb, depth, segmentation, instance, hits, camera, colours, g
             pixel = rgb[v, u]
             if hit == NOTHING:
                 segmentation[v, u] = _NOTHING
-                _write(pixel, _SKY, 1.0)
+                _write(pixel, _SKY, 0, 1.0)
             else:
                 at_x, at_y, at_z = origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2]
-                n_x, n_y, n_z = normal_at(state, b, hit, at_x, at_y, at_z)
+                n_x, n_y, n_z = normal_at(solids, hit, at_x, at_y, at_z)
                 light = max(0.0, n_x * _LIGHT[0] + n_y * _LIGHT[1] + n_z * _LIGHT[2])
                 # What faces the eye is a little lighter, which tells apart the sides that face no light.
                 facing = abs(n_x * ray[0] + n_y * ray[1] + n_z * ray[2]) / math.sqrt(1.0 + up * up + left * left)
                 brightness = _AMBIENT + 0.4 * light + 0.2 * facing
-                _write(pixel, _colour(state, b, hit, at_x, at_y, at_z, colours, ground, ceiling), brightness)
+                _paint(pixel, solids, hit, at_x, at_y, colours, ground, ceiling, brightness)
                 if hit < 0:
                     segmentation[v, u] = _GROUND if hit == GROUND else _CEILING
-                elif hit < PARTS * state.pos.shape[1]:
+                elif hit < PARTS * solids.person_id.shape[0]:
                     segmentation[v, u] = _PERSON
-                    instance[v, u] = state.person_id[b, hit // PARTS]
+                    instance[v, u] = solids.person_id[hit // PARTS]
                 else:
                     segmentation[v, u] = _THING
-            for k in range(state.num_boxes[b] - state.num_glass[b], state.num_boxes[b]):
-                pane = glass_distance(state.boxes[b, k], origin, ray)
+            for k in range(solids.first_glass, solids.num_boxes):
+                pane = glass_distance(solids.boxes, k, origin, ray)
                 if 0.0 < pane < t:
                     for channel in range(3):
                         own = 255.0 * colours[GLASS, channel]

@@ -18,6 +18,8 @@ from densecavoid.sim.geometry import (
     BOX_Y,
     BOX_Z_MIN,
     CYL_RADIUS,
+    CYL_X,
+    CYL_Y,
     CYL_Z_MIN,
     disc_offset,
     rectangle_offset,
@@ -30,24 +32,29 @@ _FAULT_SPEED = 0.1  # m/s towards the person in the last .5 s (BENCHMARK, Real c
 
 
 @inner
+def _place(state, b, i):
+    """Puts the cylinders of person i in world b where they are now."""
+    vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
+    place_body(
+        state.cylinders[b, PARTS * i : PARTS * (i + 1)],
+        state.pos[b, i, 0],
+        state.pos[b, i, 1],
+        state.heading[b, i],
+        math.sqrt(vx * vx + vy * vy),
+        state.phase[b, i],
+        state.radius[b, i],
+        state.height[b, i],
+    )
+
+
+@inner
 def place_bodies(state, b):
     """Puts the cylinders of everybody in world b where they are now."""
     for i in range(state.pos.shape[1]):
-        parts = state.cylinders[b, PARTS * i : PARTS * (i + 1)]
         if state.behaviour[b, i] == ABSENT:
-            remove_body(parts)
-            continue
-        vx, vy = state.vel[b, i, 0], state.vel[b, i, 1]
-        place_body(
-            parts,
-            state.pos[b, i, 0],
-            state.pos[b, i, 1],
-            state.heading[b, i],
-            math.sqrt(vx * vx + vy * vy),
-            state.phase[b, i],
-            state.radius[b, i],
-            state.height[b, i],
-        )
+            remove_body(state.cylinders[b, PARTS * i : PARTS * (i + 1)])
+        else:
+            _place(state, b, i)
 
 
 @kernel
@@ -83,31 +90,34 @@ def _appear(state, b, time_s):
     x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
     if math.hypot(x - state.start_pose[b, 0], y - state.start_pose[b, 1]) < state.trigger_distance[b]:
         return
-    ahead = 0.0
+    ahead = 0.0  # how far the line must be for nobody's surface to be nearer than asked for
     for i in range(state.pos.shape[1]):
-        if state.person_id[b, i] >= 0:
-            reach = state.appear_distance[b] + state.radius[b, i]
-            aside = state.pos[b, i, 1] - y
+        if state.person_id[b, i] < 0:
+            continue
+        state.behaviour[b, i], state.heading[b, i] = STANDING, math.pi
+        state.pos[b, i, 0] = 0.0
+        _place(state, b, i)
+        for part in state.cylinders[b, PARTS * i : PARTS * (i + 1)]:
+            reach, aside = state.appear_distance[b] + part[CYL_RADIUS], part[CYL_Y] - y
             if abs(aside) < reach:
-                ahead = max(ahead, math.sqrt(reach * reach - aside * aside))
+                ahead = max(ahead, math.sqrt(reach * reach - aside * aside) - part[CYL_X])
     for i in range(state.pos.shape[1]):
         if state.person_id[b, i] >= 0:
             state.pos[b, i, 0] = x + ahead
-            state.behaviour[b, i] = STANDING
-            state.heading[b, i] = math.pi
     state.spawn_time[b], state.spawn_line_x[b] = time_s, x + ahead
 
 
 @inner
-def _move_crowd(state, b, recordings, sub_step, replay_reactive, robot_radius, dt):
-    intended = np.zeros((state.pos.shape[1], 2))
+def _move_crowd(state, b, scratch, recordings, sub_step, replay_reactive, robot_radius, dt):
+    intended, new_vel = scratch[0], scratch[1]
+    intended[:] = 0.0
     if state.recording[b] >= 0:
         follow_recording(state, b, recordings, sub_step, replay_reactive[b], intended, dt)
         if not replay_reactive[b]:
             return
     else:
         intend_scripted(state, b, intended, dt)
-    move_people(state, b, intended, robot_radius, dt)
+    move_people(state, b, intended, new_vel, robot_radius, dt)
 
 
 @inner
@@ -140,6 +150,7 @@ def advance(
     dt,
 ):
     """One control step of `sub_steps` x `dt` s for worlds first to last - 1; ends early at a collision or the goal."""
+    scratch = np.empty((2, state.pos.shape[1], 2))
     for b in range(first, last):
         if dynamic:
             linear, angular = state.pending_command[b]
@@ -152,7 +163,7 @@ def advance(
         nearest_person, slot = np.inf, -1
         for s in range(sub_steps):
             tick = state.step_count[b] * sub_steps + s + 1
-            _move_crowd(state, b, recordings, tick, replay_reactive, robot_radius, dt)
+            _move_crowd(state, b, scratch, recordings, tick, replay_reactive, robot_radius, dt)
             if dynamic:
                 velocity[0] = limit_change(velocity[0], linear, max_linear_acc * dt)
                 velocity[1] = limit_change(velocity[1], angular, max_angular_acc * dt)
@@ -207,12 +218,12 @@ def _scan_world(state, b, ranges, hits, ray_x, ray_y, lidar):
 
 
 @kernel
-def sense_level(first, last, state, which, scans, images, lidar, camera):
-    """What exact sensors with a level camera measure in the marked worlds, however far: the fast way.
+def sense_level(first, last, state, which, scans, images, lidar, camera, scan_most, least, most):
+    """What exact sensors with a level camera measure in the marked worlds: the fast way.
 
     Args:
-        scans: [B, rays] gets ranges.
-        images: [B, height, width] gets depths.
+        scans: [B, rays] gets ranges up to `scan_most`, inf beyond.
+        images: [B, height, width] gets depths from `least` to `most`, NaN elsewhere.
     """
     columns = np.empty((camera.column_slope.shape[0], camera.row_slope.shape[0]), np.float32)
     hits = np.empty(scans.shape[1], np.int32)
@@ -220,17 +231,19 @@ def sense_level(first, last, state, which, scans, images, lidar, camera):
         if not which[b]:
             continue
         _scan_world(state, b, scans[b], hits, lidar.ray_x, lidar.ray_y, lidar)
+        for r in range(scans.shape[1]):
+            scans[b, r] = scans[b, r] if scans[b, r] <= scan_most else np.float32(np.inf)
         x, y, yaw = state.robot_pose[b]
         camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
         boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
         cylinders = state.cylinders[b, : state.num_cylinders[b]]
         ceiling = state.ceiling_m[b]
-        render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders)
+        render_level_depth(images[b], columns, camera, camera_x, camera_y, yaw, ceiling, boxes, cylinders, least, most)
 
 
 @kernel
 def sense_hits(first, last, state, which, scans, images, scan_hits, image_hits, lidar, camera):
-    """The same for any camera and for scanners that sweep, with what each ray meets.
+    """The same for any camera and for scanners that sweep, however far, with what each ray meets.
 
     Args:
         scan_hits: i32 [B, rays] gets numbers of solids (geometry.py).
@@ -240,7 +253,7 @@ def sense_hits(first, last, state, which, scans, images, scan_hits, image_hits, 
     for b in range(first, last):
         if not which[b]:
             continue
-        if lidar.time[0] < 0.0:
+        if lidar.start < 0.0:
             turn_rays(lidar, state.robot_velocity[b, 1], ray_x, ray_y)
         _scan_world(state, b, scans[b], scan_hits[b], ray_x, ray_y, lidar)
         picture(state, b, images[b], image_hits[b], camera)
@@ -258,14 +271,14 @@ def picture(state, b, image, hits, camera):
 
 
 @kernel
-def limit_ranges(first, last, which, scans, images, lidar_range, camera_min, camera_max):
+def limit_ranges(first, last, which, scans, images, scan_most, least, most):
     """Leaves out what is out of range: inf in scans, NaN in images."""
     for b in range(first, last):
         if not which[b]:
             continue
         for r in range(scans.shape[1]):
-            scans[b, r] = scans[b, r] if scans[b, r] <= lidar_range else np.float32(np.inf)
+            scans[b, r] = scans[b, r] if scans[b, r] <= scan_most else np.float32(np.inf)
         for v in range(images.shape[1]):
             for u in range(images.shape[2]):
                 t = images[b, v, u]
-                images[b, v, u] = t if (t >= camera_min) & (t <= camera_max) else np.float32(np.nan)
+                images[b, v, u] = t if (t >= least) & (t <= most) else np.float32(np.nan)

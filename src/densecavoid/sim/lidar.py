@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.frames import LidarConfig
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner
 from densecavoid.sim.geometry import (
     BOX_COS,
     BOX_HALF_LENGTH,
@@ -37,7 +37,8 @@ class LidarOptics(NamedTuple):
     ray_x: np.ndarray  # f32 [rays] unit directions in the robot's frame
     ray_y: np.ndarray  # f32 [rays]
     ray_z: np.ndarray  # f32 [rays]
-    time: np.ndarray  # f32 [rays] s, when each is measured: 0 is when the scan is complete
+    start: np.float32  # s, when the first is measured: 0 is when the scan is complete
+    interval: np.float32  # s, between two of them
     fov: float
     max_range: np.float32
     height: float
@@ -50,13 +51,14 @@ def lidar_optics(config: LidarConfig, sweep: bool) -> LidarOptics:
     angles = config.angles_rad
     ahead, left = np.cos(angles), np.sin(angles)
     cos, sin = math.cos(config.mount_pitch_rad), math.sin(config.mount_pitch_rad)
-    before_end = np.linspace(-config.sweep_s if sweep else 0.0, 0.0, config.num_rays)
-    x, y, z, time = (part.astype(np.float32) for part in (cos * ahead, left, -sin * ahead, before_end))
+    x, y, z = (part.astype(np.float32) for part in (cos * ahead, left, -sin * ahead))
+    duration = config.sweep_s if sweep else 0.0
     return LidarOptics(
         x,
         y,
         z,
-        time,
+        np.float32(-duration),
+        np.float32(duration / (config.num_rays - 1)),
         float(config.fov_rad),
         np.float32(config.max_range_m),
         float(config.mount_height_m),
@@ -65,7 +67,7 @@ def lidar_optics(config: LidarConfig, sweep: bool) -> LidarOptics:
     )
 
 
-@kernel
+@inner
 def _scan_angle(bearing, cos_pitch):
     """The angle within the scanner's plane of the ray that is seen from above at `bearing`."""
     turns = math.floor(bearing / (2.0 * math.pi) + 0.5) * 2.0 * math.pi
@@ -73,7 +75,7 @@ def _scan_angle(bearing, cos_pitch):
     return turns + math.atan2(math.sin(within) * cos_pitch, math.cos(within))
 
 
-@kernel
+@inner
 def _ray_span(bearing, half_width, turn, lidar, num_rays):
     """First and one-past-last ray that can meet something at `bearing` +- `half_width`, seen `turn` turns on."""
     step = lidar.fov / (num_rays - 1)
@@ -84,25 +86,63 @@ def _ray_span(bearing, half_width, turn, lidar, num_rays):
     return max(0, math.ceil((low + around) / step - 1e-3)), min(num_rays, math.floor((high + around) / step + 1e-3) + 1)
 
 
-@kernel
+@inner
 def turn_rays(lidar, angular, ray_x, ray_y):
     """Directions [rays] in the frame of the robot at the end of a sweep during which it turned with `angular` rad/s."""
     for r in range(ray_x.shape[0]):
-        turned = angular * lidar.time[r]
+        turned = angular * (lidar.start + lidar.interval * r)
         cos, sin = math.cos(turned), math.sin(turned)
         ray_x[r] = cos * lidar.ray_x[r] - sin * lidar.ray_y[r]
         ray_y[r] = sin * lidar.ray_x[r] + cos * lidar.ray_y[r]
 
 
-@kernel
-def _meet(ranges, hits, r, entry, leave, ray_z, z_min, z_max, number):
-    t = prism_distance(entry, leave, ray_z, z_min, z_max)
-    nearer = t < ranges[r]
-    ranges[r] = t if nearer else ranges[r]
-    hits[r] = number if nearer else hits[r]
+@inner
+def _meet_disc(
+    ranges, hits, ray_x, ray_y, ray_z, x, y, drift_x, drift_y, start, interval, radius, z_min, z_max, number
+):
+    """A cylinder at (x, y) when the scan is complete, moving past the scanner, against the rays that may meet it."""
+    for r in range(ranges.shape[0]):
+        time = start + interval * np.float32(np.int32(r))
+        entry, leave = disc_interval(x + drift_x * time, y + drift_y * time, radius, ray_x[r], ray_y[r])
+        t = prism_distance(entry, leave, ray_z[r], z_min, z_max)
+        nearer = t < ranges[r]
+        hits[r] = number if nearer else hits[r]
+        ranges[r] = t if nearer else ranges[r]
 
 
-@kernel
+@inner
+def _meet_rectangle(
+    ranges,
+    hits,
+    ray_x,
+    ray_y,
+    ray_z,
+    x,
+    y,
+    drift_x,
+    drift_y,
+    start,
+    interval,
+    cos,
+    sin,
+    half_x,
+    half_y,
+    z_min,
+    z_max,
+    number,
+):
+    """The same of a box, in whose frame the scanner is at (x, y); (cos, sin) turn the rays into that frame."""
+    for r in range(ranges.shape[0]):
+        time = start + interval * np.float32(np.int32(r))
+        local_x, local_y = cos * ray_x[r] - sin * ray_y[r], sin * ray_x[r] + cos * ray_y[r]
+        entry, leave = rectangle_interval(x + drift_x * time, y + drift_y * time, half_x, half_y, local_x, local_y)
+        t = prism_distance(entry, leave, ray_z[r], z_min, z_max)
+        nearer = t < ranges[r]
+        hits[r] = number if nearer else hits[r]
+        ranges[r] = t if nearer else ranges[r]
+
+
+@inner
 def scan(ranges, hits, lidar, ray_x, ray_y, pose, motion, ceiling, boxes, cylinders, velocity, first_box):
     """Casts the rays of one scanner; what they meet is not yet limited to its range.
 
@@ -118,7 +158,7 @@ def scan(ranges, hits, lidar, ray_x, ray_y, pose, motion, ceiling, boxes, cylind
         cylinders: rows; people's parts first.
         velocity: [people, 2] m/s.
     """
-    ray_z, time = lidar.ray_z, lidar.time
+    ray_z, start, interval = lidar.ray_z, lidar.start, lidar.interval
     height, max_range, level = lidar.height, lidar.max_range, lidar.cos_pitch >= 1.0
     num_rays = ranges.shape[0]
     for r in range(num_rays):
@@ -130,7 +170,7 @@ def scan(ranges, hits, lidar, ray_x, ray_y, pose, motion, ceiling, boxes, cylind
     x, y, yaw = pose
     cos, sin = math.cos(yaw), math.sin(yaw)
     # During a sweep things move, and turn, past the scanner: so much further must be looked for them.
-    duration = -float(time[0])
+    duration = -float(start)
     turned = abs(motion[1]) * duration
     own_x, own_y = np.float32(motion[0]), np.float32(motion[1] * lidar.ahead)
     people_parts = PARTS * velocity.shape[0]
@@ -156,10 +196,24 @@ def scan(ranges, hits, lidar, ray_x, ray_y, pose, motion, ceiling, boxes, cylind
         bearing = math.atan2(centre_y, centre_x)
         for turn in range(-1, 2):
             first, last = _ray_span(bearing, half_width, turn, lidar, num_rays)
-            for r in range(first, last):
-                then_x, then_y = centre_x + drift_x * time[r], centre_y + drift_y * time[r]
-                entry, leave = disc_interval(then_x, then_y, radius, ray_x[r], ray_y[r])
-                _meet(ranges, hits, r, entry, leave, ray_z[r], z_min, z_max, i)
+            if first < last:
+                _meet_disc(
+                    ranges[first:last],
+                    hits[first:last],
+                    ray_x[first:last],
+                    ray_y[first:last],
+                    ray_z[first:last],
+                    centre_x,
+                    centre_y,
+                    drift_x,
+                    drift_y,
+                    start + interval * np.float32(first),
+                    interval,
+                    radius,
+                    z_min,
+                    z_max,
+                    np.int32(i),
+                )
     for i in range(boxes.shape[0]):
         box = boxes[i]
         z_min, z_max = np.float32(box[BOX_Z_MIN] - height), np.float32(box[BOX_Z_MAX] - height)
@@ -183,9 +237,24 @@ def scan(ranges, hits, lidar, ray_x, ray_y, pose, motion, ceiling, boxes, cylind
         drift_x, drift_y = turn_cos * own_x - turn_sin * own_y, turn_sin * own_x + turn_cos * own_y
         for turn in range(-1, 2):
             first, last = _ray_span(bearing, half_width, turn, lidar, num_rays)
-            for r in range(first, last):
-                local_ray_x = turn_cos * ray_x[r] - turn_sin * ray_y[r]
-                local_ray_y = turn_sin * ray_x[r] + turn_cos * ray_y[r]
-                then_x, then_y = local_x + drift_x * time[r], local_y + drift_y * time[r]
-                entry, leave = rectangle_interval(then_x, then_y, half_x, half_y, local_ray_x, local_ray_y)
-                _meet(ranges, hits, r, entry, leave, ray_z[r], z_min, z_max, first_box + i)
+            if first < last:
+                _meet_rectangle(
+                    ranges[first:last],
+                    hits[first:last],
+                    ray_x[first:last],
+                    ray_y[first:last],
+                    ray_z[first:last],
+                    local_x,
+                    local_y,
+                    drift_x,
+                    drift_y,
+                    start + interval * np.float32(first),
+                    interval,
+                    turn_cos,
+                    turn_sin,
+                    half_x,
+                    half_y,
+                    z_min,
+                    z_max,
+                    np.int32(first_box + i),
+                )

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import PARTS
 
-_PART_NAMES = ("left-leg", "right-leg", "trunk", "head")
+_PART_NAMES = ("left-leg", "right-leg", "left-trunk", "right-trunk", "left-arm", "right-arm", "head")
 _COLOURS = {
     "plane": "0.82 0.82 0.80 1",
     "box": "0.55 0.60 0.68 1",

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.frames import CameraConfig, LidarConfig, require
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ _JUMP = 0.1  # neighbouring values that differ by more than this share of the ne
 _SCAN, _IMAGE, _ODOMETRY = 1, 2, 3  # one stream of random numbers each
 
 
-@kernel
+@inner
 def hash_of(key, index):
     """64 bits that look random, the same for the same key and index (splitmix64)."""
     z = np.uint64(key) + (np.uint64(index) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
@@ -155,13 +155,13 @@ def hash_of(key, index):
     return z ^ (z >> np.uint64(31))
 
 
-@kernel
+@inner
 def sensor_key(seed, step, stream):
     """The key of one sensor at one step of one world's episode."""
     return hash_of(hash_of(seed, step), stream)
 
 
-@kernel
+@inner
 def _normal(bits):
     """About normal, mean 0 and variance 1, never beyond 3.5: the sum of four 16-bit uniform numbers."""
     low = np.uint64(0xFFFF)
@@ -170,19 +170,19 @@ def _normal(bits):
     return (total - 131070.0) / 37837.22728
 
 
-@kernel
+@inner
 def share_of(bits):
     """Uniform in [0, 1), from the upper half of the bits."""
     return np.int64(bits >> np.uint64(32)) / 4294967296.0
 
 
-@kernel
+@inner
 def _other_share(bits):
     """Uniform in [0, 1), from the lower half of the bits."""
     return np.int64(bits & np.uint64(0xFFFFFFFF)) / 4294967296.0
 
 
-@kernel
+@inner
 def _is_edge(here, there):
     return abs(here - there) > _JUMP * min(here, there)
 
@@ -247,7 +247,7 @@ def spoil_depth(image, key, noise):
             image[v, u] = value if noise.min_range <= value <= noise.max_range else np.nan
 
 
-@kernel
+@inner
 def drift(odometry, last_pose, pose, key, seed, noise):
     """Moves `odometry` (x, y, yaw) as the wheels report the way from `last_pose` to `pose`; then they are equal."""
     scale = 1.0 + noise.scale * _normal(hash_of(seed, -1))
@@ -264,7 +264,8 @@ def drift(odometry, last_pose, pose, key, seed, noise):
     odometry[0] += scale * (math.cos(heading) * ahead - math.sin(heading) * aside)
     odometry[1] += scale * (math.sin(heading) * ahead + math.cos(heading) * aside)
     odometry[2] = (odometry[2] + measured + math.pi) % (2.0 * math.pi) - math.pi
-    last_pose[:] = pose
+    for k in range(3):
+        last_pose[k] = pose[k]
 
 
 @kernel

@@ -1,7 +1,8 @@
 """People's bodies: how big they are, how they step, and the cylinders that rays and collisions meet.
 
-A person is two legs, a trunk and a head, all upright cylinders. The trunk is as wide as the body radius and the legs
-swing inside its outline, so in plan view the body is a disc and the nearest surface is the same for rays and wheels.
+In plan view a body is a stadium, shoulders wider than deep: all within `half_depth` of a line across the heading. A
+person is two legs, two halves of a trunk, two arms and a head, all upright cylinders. Trunk and arms fill the outline
+and never leave it; the legs step beyond it, ahead and behind, as legs do.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.geometry import CYL_RADIUS, CYL_X, CYL_Y, CYL_Z_MAX, CYL_Z_MIN
 
-PARTS = 4
-"""Cylinders a person: left leg, right leg, trunk, head."""
+LEFT_LEG, RIGHT_LEG, LEFT_TRUNK, RIGHT_TRUNK, LEFT_ARM, RIGHT_ARM, HEAD = range(7)
+PARTS = 7
+"""Cylinders a person; the two halves of the trunk overlap, the neck belongs to the head."""
 
 ABSENT, STANDING, WANDERING, TRAVERSING, RECORDED = range(5)
 """What a person does: is not there; stands; walks to random places; walks to one and leaves; follows a recording."""
@@ -25,11 +27,28 @@ STEP_OVER_M = 0.2
 WALK_UNDER_M = 2.0
 """What begins above this (lamps, crowns of trees) they walk under."""
 
-_LEG_RADIUS_M = 0.065
-_HEAD_RADIUS_M = 0.09
-_LEG_SPACING_M = 0.09  # from the body's axis, sideways
-_HIP_HEIGHT = 0.40  # fractions of body height
-_NECK_HEIGHT = 0.84
+# Heights as shares of the body's (Drillis and Contini, Body Segment Parameters, 1966; Winter, Biomechanics and Motor
+# Control of Human Movement, fig. 4.1): crotch .47, shoulder .82; of a hanging arm, wrist .49 and finger tips .38.
+_CROTCH_HEIGHT = 0.47
+_SHOULDER_HEIGHT = 0.82
+_HAND_HEIGHT = 0.42
+_LOWEST_M = 0.75  # trunk and hands reach down to this at least: nobody is hollow to a robot of the default .8 m
+
+# Sideways from the body's axis, and radii, as shares of the half shoulder width. Legs so thick (.14 m, in trousers)
+# and so far apart (.15 m walking, .23 m standing) look to a lidar as real ones do: benchmarks/legs.py.
+_LEG_RADIUS = 0.27
+_LEG_ASIDE_WALKING = 0.30
+_LEG_ASIDE_STANDING = 0.45
+_WALKING_SPEED = 0.5  # m/s; slower people set their feet farther apart
+_TRUNK_ASIDE = 0.15
+_ARM_RADIUS = 0.19
+_HEAD_RADIUS_M = 0.08
+
+_SHIN_SWING = 0.58
+"""A shin's swing as a share of the foot's. A straight leg of .85 m would give .69 at .26 m; bent knees take their part,
+and with .58 legs are as far apart as in real scans."""
+_ARM_SWING = 0.6  # of an arm's room within the outline, when shins swing this far (1.3 m/s)
+_FULL_SWING_M = 0.21
 
 
 def sample_bodies(rng: np.random.Generator, count: int) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]]:
@@ -61,32 +80,37 @@ def advance_gait(phase, speed, dt):
     return (phase + math.pi * speed / step_length(speed) * dt) % (2.0 * math.pi)
 
 
+@inner
+def _place(part, x, y, radius, z_min, z_max):
+    part[CYL_X], part[CYL_Y], part[CYL_RADIUS] = x, y, radius
+    part[CYL_Z_MIN], part[CYL_Z_MAX] = z_min, z_max
+
+
 @kernel
 def place_body(parts, pos_x, pos_y, heading, speed, phase, radius, height):
     """Writes one person's cylinders into `parts` [PARTS, 5]."""
-    forward_x, forward_y = math.cos(heading), math.sin(heading)
-    # A shin's swing is .69 of the foot's (a lidar at .26 m on a leg of .85 m), kept inside the body's outline.
-    room = radius - _LEG_RADIUS_M
-    spacing = min(_LEG_SPACING_M, 0.7 * room)
-    reach = math.sqrt(room * room - spacing * spacing)
-    swing = min(0.69 * 0.5 * step_length(max(speed, 1e-6)), reach) * math.sin(phase)
-    for leg in range(2):
-        side = spacing if leg == 0 else -spacing
-        ahead = swing if leg == 0 else -swing
-        parts[leg, CYL_X] = pos_x + forward_x * ahead - forward_y * side
-        parts[leg, CYL_Y] = pos_y + forward_y * ahead + forward_x * side
-        parts[leg, CYL_RADIUS] = _LEG_RADIUS_M
-        parts[leg, CYL_Z_MIN] = 0.0
-        parts[leg, CYL_Z_MAX] = _HIP_HEIGHT * height
-    for part in range(2, PARTS):
-        parts[part, CYL_X] = pos_x
-        parts[part, CYL_Y] = pos_y
-    parts[2, CYL_RADIUS] = radius
-    parts[2, CYL_Z_MIN] = min(_HIP_HEIGHT * height, 0.75)
-    parts[2, CYL_Z_MAX] = _NECK_HEIGHT * height
-    parts[3, CYL_RADIUS] = _HEAD_RADIUS_M
-    parts[3, CYL_Z_MIN] = _NECK_HEIGHT * height
-    parts[3, CYL_Z_MAX] = height
+    ahead_x, ahead_y = math.cos(heading), math.sin(heading)
+    depth, arm_radius = half_depth(radius), _ARM_RADIUS * radius
+    reach = 0.5 * _SHIN_SWING * step_length(speed)
+    stride = math.sin(phase)
+    # An arm swings against the leg of its side, along the round end of the outline, which it touches from within.
+    room = depth - arm_radius
+    arm_stride = min(1.0, reach / _FULL_SWING_M) * _ARM_SWING * stride
+    arm_aside = radius - depth + room * math.sqrt(1.0 - arm_stride * arm_stride)
+    leg_aside = _LEG_ASIDE_STANDING + (_LEG_ASIDE_WALKING - _LEG_ASIDE_STANDING) * min(1.0, speed / _WALKING_SPEED)
+    low, shoulder = min(_CROTCH_HEIGHT * height, _LOWEST_M), _SHOULDER_HEIGHT * height
+    hand = min(_HAND_HEIGHT * height, _LOWEST_M)
+    for side in range(2):
+        left = 1.0 - 2.0 * side
+        ahead, aside = left * reach * stride, left * leg_aside * radius
+        x, y = pos_x + ahead_x * ahead - ahead_y * aside, pos_y + ahead_y * ahead + ahead_x * aside
+        _place(parts[LEFT_LEG + side], x, y, _LEG_RADIUS * radius, 0.0, low)
+        aside = left * _TRUNK_ASIDE * radius
+        _place(parts[LEFT_TRUNK + side], pos_x - ahead_y * aside, pos_y + ahead_x * aside, depth, low, shoulder)
+        ahead, aside = -left * room * arm_stride, left * arm_aside
+        x, y = pos_x + ahead_x * ahead - ahead_y * aside, pos_y + ahead_y * ahead + ahead_x * aside
+        _place(parts[LEFT_ARM + side], x, y, arm_radius, hand, shoulder)
+    _place(parts[HEAD], pos_x, pos_y, _HEAD_RADIUS_M, shoulder, height)
 
 
 @kernel

@@ -30,7 +30,7 @@ from densecavoid.sim.materials import material_infrared, material_number
 from densecavoid.sim.noise import SensorNoiseConfig, hash_of, sensor_key, share_of
 from densecavoid.sim.people import PARTS
 from densecavoid.sim.rays import prism_distance, rectangle_interval
-from densecavoid.sim.surfaces import CLOTHES, SKIN, box_normal, material_at, normal_at
+from densecavoid.sim.surfaces import CLOTHES, SKIN, box_normal, material_at, normal_at, solids_of
 
 _GROUND, _CEILING = material_number("concrete"), material_number("plaster")
 _SKIN_INFRARED = 0.5
@@ -64,56 +64,59 @@ def returns(config: SensorNoiseConfig, lidar: LidarConfig) -> Returns:
 
 
 @inner
-def _light(state, b, hit, origin, ray, distance, optics):
+def _light(solids, hit, origin, ray, distance, optics):
     """Light that comes back from `distance` along a unit `ray`; 1 is what comes from reflectance 1 at 1 m."""
-    material = material_at(state, b, hit, _GROUND, _CEILING)
+    material = material_at(solids, hit, _GROUND, _CEILING)
     if material == CLOTHES:
-        tone = share_of(hash_of(np.uint64(state.person_id[b, hit // PARTS]), 17))
+        tone = share_of(hash_of(np.uint64(solids.person_id[hit // PARTS]), 17))
         reflectance = _CLOTHES_INFRARED[0] + (_CLOTHES_INFRARED[1] - _CLOTHES_INFRARED[0]) * tone
     elif material == SKIN:
         reflectance = _SKIN_INFRARED
     else:
         reflectance = float(optics.infrared[material])
     x, y, z = origin[0] + distance * ray[0], origin[1] + distance * ray[1], origin[2] + distance * ray[2]
-    n_x, n_y, n_z = normal_at(state, b, hit, x, y, z)
+    n_x, n_y, n_z = normal_at(solids, hit, x, y, z)
     return reflectance * abs(n_x * ray[0] + n_y * ray[1] + n_z * ray[2]) / max(distance * distance, 1e-6)
 
 
-@kernel
+@inner
 def _too_weak(light, reach, bits):
     return light * reach * reach < 1.0 + _SOFT * (2.0 * share_of(bits) - 1.0)
 
 
-@kernel
+@inner
 def _glass_returns(peak, angle, cos_incidence, bits):
     away = math.acos(min(abs(cos_incidence), 1.0)) / angle
     return share_of(bits) < peak * math.exp(-away * away)
 
 
-@kernel
-def glass_distance(box, origin, ray):
-    """Distance along a ray to a box of glass; inf for a miss."""
-    cos, sin = box[BOX_COS], box[BOX_SIN]
-    rel_x, rel_y = np.float32(origin[0] - box[BOX_X]), np.float32(origin[1] - box[BOX_Y])
+@inner
+def glass_distance(boxes, k, origin, ray):
+    """Distance along a ray to box k; inf for a miss."""
+    cos, sin = boxes[k, BOX_COS], boxes[k, BOX_SIN]
+    rel_x, rel_y = np.float32(origin[0] - boxes[k, BOX_X]), np.float32(origin[1] - boxes[k, BOX_Y])
     local_x, local_y = cos * rel_x + sin * rel_y, cos * rel_y - sin * rel_x
     ray_x, ray_y = np.float32(cos * ray[0] + sin * ray[1]), np.float32(cos * ray[1] - sin * ray[0])
-    entry, leave = rectangle_interval(local_x, local_y, box[BOX_HALF_LENGTH], box[BOX_HALF_WIDTH], ray_x, ray_y)
-    z_min, z_max = np.float32(box[BOX_Z_MIN] - origin[2]), np.float32(box[BOX_Z_MAX] - origin[2])
+    entry, leave = rectangle_interval(
+        local_x, local_y, boxes[k, BOX_HALF_LENGTH], boxes[k, BOX_HALF_WIDTH], ray_x, ray_y
+    )
+    z_min, z_max = np.float32(boxes[k, BOX_Z_MIN] - origin[2]), np.float32(boxes[k, BOX_Z_MAX] - origin[2])
     return prism_distance(entry, leave, np.float32(ray[2]), z_min, z_max)
 
 
 @inner
-def _what_returns(state, b, distance, hit, origin, ray, reach, peak, optics, weak_key, glass_key, index):
+def _what_returns(solids, distance, hit, origin, ray, reach, peak, optics, weak_key, glass_key, index):
     """Distance along a unit `ray` that a real sensor measures, given what it meets first behind all glass; or inf."""
     if hit != NOTHING and _too_weak(
-        _light(state, b, hit, origin, ray, distance, optics), reach, hash_of(weak_key, index)
+        _light(solids, hit, origin, ray, distance, optics), reach, hash_of(weak_key, index)
     ):
         distance = np.inf
-    for k in range(state.num_boxes[b] - state.num_glass[b], state.num_boxes[b]):
-        box = state.boxes[b, k]
-        t = float(glass_distance(box, origin, ray))
+    for k in range(solids.first_glass, solids.num_boxes):
+        t = float(glass_distance(solids.boxes, k, origin, ray))
         if 0.0 < t < distance:
-            n_x, n_y, n_z = box_normal(box, origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2])
+            n_x, n_y, n_z = box_normal(
+                solids.boxes, k, origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2]
+            )
             bits = hash_of(hash_of(glass_key, index), k)
             if _glass_returns(peak, optics.glass_angle, n_x * ray[0] + n_y * ray[1] + n_z * ray[2], bits):
                 distance = t
@@ -128,7 +131,7 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
     for b in range(first, last):
         if not which[b]:
             continue
-        step = state.step_count[b]
+        solids, step = solids_of(state, b), state.step_count[b]
         x, y, yaw = state.robot_pose[b]
         cos, sin = math.cos(yaw), math.sin(yaw)
         weak, glass = sensor_key(seeds[b], step, _WEAK_SCAN), sensor_key(seeds[b], step, _GLASS_SCAN)
@@ -138,7 +141,7 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
             ray = (cos * ahead - sin * left, sin * ahead + cos * left, float(lidar.ray_z[r]))
             hit, distance = scan_hits[b, r], float(scans[b, r])
             scans[b, r] = _what_returns(
-                state, b, distance, hit, origin, ray, optics.lidar_reach, optics.lidar_glass, optics, weak, glass, r
+                solids, distance, hit, origin, ray, optics.lidar_reach, optics.lidar_glass, optics, weak, glass, r
             )
         weak, glass = sensor_key(seeds[b], step, _WEAK_IMAGE), sensor_key(seeds[b], step, _GLASS_IMAGE)
         origin = (x + cos * camera.ahead, y + sin * camera.ahead, camera.height)
@@ -157,8 +160,7 @@ def lose_returns(first, last, state, which, seeds, scans, images, scan_hits, ima
                 hit, distance = image_hits[b, v, u], length * float(images[b, v, u])
                 images[b, v, u] = (
                     _what_returns(
-                        state,
-                        b,
+                        solids,
                         distance,
                         hit,
                         origin,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner
 
 
-@kernel
+@inner
 def limit_change(value, target, max_change):
     """`target`, or as near to it as `max_change` from `value` allows."""
     return min(max(target, value - max_change), value + max_change)
 
 
-@kernel
+@inner
 def drive(pose, linear, angular, dt):
     """Moves `pose` (x, y, yaw) along the exact arc of constant velocities for `dt` seconds."""
     turned = angular * dt

@@ -120,11 +120,11 @@ class SensorSuite:
 
         if len(self._hits[0]):
             each(kernels.sense_hits, state, which, *frames, *self._hits, *optics)
+            if self.real:
+                each(returns.lose_returns, state, which, self._seeds, *frames, *self._hits, *optics, self._returns)
+            each(kernels.limit_ranges, which, *frames, *self._limits)
         else:
-            each(kernels.sense_level, state, which, *frames, *optics)
-        if self.real:
-            each(returns.lose_returns, state, which, self._seeds, *frames, *self._hits, *optics, self._returns)
-        each(kernels.limit_ranges, which, *frames, *self._limits)
+            each(kernels.sense_level, state, which, *frames, *optics, *self._limits)
         odometry = state.robot_pose
         if self.real:
             odometry = self._odometry

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,33 +24,33 @@ from densecavoid.sim.geometry import (
     CYL_Z_MAX,
     CYL_Z_MIN,
 )
-from densecavoid.sim.people import PARTS
+from densecavoid.sim.people import HEAD, PARTS
 
 CLOTHES, SKIN = -1, -2
 """Instead of the number of a material, on people."""
 
 
-@kernel
-def cylinder_normal(cylinder, x, y, z):
-    """Outward unit normal of a cylinder's surface at or near a point."""
-    rel_x, rel_y = x - cylinder[CYL_X], y - cylinder[CYL_Y]
+@inner
+def cylinder_normal(cylinders, k, x, y, z):
+    """Outward unit normal of cylinder k's surface at or near a point."""
+    rel_x, rel_y = x - cylinders[k, CYL_X], y - cylinders[k, CYL_Y]
     distance = math.sqrt(rel_x * rel_x + rel_y * rel_y)
-    side = abs(distance - cylinder[CYL_RADIUS])
-    if min(abs(z - cylinder[CYL_Z_MAX]), abs(z - cylinder[CYL_Z_MIN])) < side:
-        return 0.0, 0.0, 1.0 if 2.0 * z > cylinder[CYL_Z_MIN] + cylinder[CYL_Z_MAX] else -1.0
+    side = abs(distance - cylinders[k, CYL_RADIUS])
+    if min(abs(z - cylinders[k, CYL_Z_MAX]), abs(z - cylinders[k, CYL_Z_MIN])) < side:
+        return 0.0, 0.0, 1.0 if 2.0 * z > cylinders[k, CYL_Z_MIN] + cylinders[k, CYL_Z_MAX] else -1.0
     scale = 1.0 / max(distance, 1e-9)
     return rel_x * scale, rel_y * scale, 0.0
 
 
-@kernel
-def box_normal(box, x, y, z):
-    """Outward unit normal of a box's surface at or near a point."""
-    cos, sin = box[BOX_COS], box[BOX_SIN]
-    rel_x, rel_y = x - box[BOX_X], y - box[BOX_Y]
+@inner
+def box_normal(boxes, k, x, y, z):
+    """Outward unit normal of box k's surface at or near a point."""
+    cos, sin = boxes[k, BOX_COS], boxes[k, BOX_SIN]
+    rel_x, rel_y = x - boxes[k, BOX_X], y - boxes[k, BOX_Y]
     local_x, local_y = cos * rel_x + sin * rel_y, cos * rel_y - sin * rel_x
-    off_x, off_y = abs(abs(local_x) - box[BOX_HALF_LENGTH]), abs(abs(local_y) - box[BOX_HALF_WIDTH])
-    if min(abs(z - box[BOX_Z_MAX]), abs(z - box[BOX_Z_MIN])) < min(off_x, off_y):
-        return 0.0, 0.0, 1.0 if 2.0 * z > box[BOX_Z_MIN] + box[BOX_Z_MAX] else -1.0
+    off_x, off_y = abs(abs(local_x) - boxes[k, BOX_HALF_LENGTH]), abs(abs(local_y) - boxes[k, BOX_HALF_WIDTH])
+    if min(abs(z - boxes[k, BOX_Z_MAX]), abs(z - boxes[k, BOX_Z_MIN])) < min(off_x, off_y):
+        return 0.0, 0.0, 1.0 if 2.0 * z > boxes[k, BOX_Z_MIN] + boxes[k, BOX_Z_MAX] else -1.0
     if off_x < off_y:
         side = math.copysign(1.0, local_x)
         return side * cos, side * sin, 0.0
@@ -57,29 +58,57 @@ def box_normal(box, x, y, z):
     return -side * sin, side * cos, 0.0
 
 
+class Solids(NamedTuple):
+    """What stands and walks in one world. Kernels that ask at every pixel take this and not the state of all worlds,
+    which is so large that handing it on takes longer than the answer."""
+
+    cylinders: np.ndarray  # f32 [.., 5] people's parts first
+    boxes: np.ndarray  # f32 [.., 8]
+    cylinder_material: np.ndarray  # u8 without people
+    box_material: np.ndarray  # u8
+    person_id: np.ndarray  # i32 [people]
+    first_glass: int
+    num_boxes: int
+
+
+@kernel
+def solids_of(state, b):
+    """The solids of world b."""
+    return Solids(
+        state.cylinders[b],
+        state.boxes[b],
+        state.cylinder_material[b],
+        state.box_material[b],
+        state.person_id[b],
+        state.num_boxes[b] - state.num_glass[b],
+        state.num_boxes[b],
+    )
+
+
 @inner
-def normal_at(state, b, hit, x, y, z):
-    """Unit normal of what a ray has met at a point of world b, outward."""
+def normal_at(solids, hit, x, y, z):
+    """Unit normal of what a ray has met at a point, outward."""
     if hit < 0:
         return 0.0, 0.0, -1.0 if hit == CEILING else 1.0
-    if hit < state.cylinders.shape[1]:
-        return cylinder_normal(state.cylinders[b, hit], x, y, z)
-    return box_normal(state.boxes[b, hit - state.cylinders.shape[1]], x, y, z)
+    if hit < solids.cylinders.shape[0]:
+        return cylinder_normal(solids.cylinders, hit, x, y, z)
+    return box_normal(solids.boxes, hit - solids.cylinders.shape[0], x, y, z)
 
 
 @inner
-def material_at(state, b, hit, ground, ceiling):
+def material_at(solids, hit, ground, ceiling):
     """Number of the material of what a ray has met, or CLOTHES or SKIN of a person.
 
     Args:
+        solids: of the world.
         hit: not NOTHING.
         ground: number of the ground's material; `ceiling` alike.
     """
-    people_parts = PARTS * state.pos.shape[1]
+    people_parts = PARTS * solids.person_id.shape[0]
     if hit < 0:
         return ceiling if hit == CEILING else ground
     if hit < people_parts:
-        return SKIN if hit % PARTS == PARTS - 1 else CLOTHES
-    if hit < state.cylinders.shape[1]:
-        return np.int64(state.cylinder_material[b, hit - people_parts])
-    return np.int64(state.box_material[b, hit - state.cylinders.shape[1]])
+        return SKIN if hit % PARTS == HEAD else CLOTHES
+    if hit < solids.cylinders.shape[0]:
+        return np.int64(solids.cylinder_material[hit - people_parts])
+    return np.int64(solids.box_material[hit - solids.cylinders.shape[0]])

@@ -220,6 +220,11 @@ class Simulator:
             id=state.person_id.copy(),
         )
 
+    @property
+    def heading_rad(self) -> Float[np.ndarray, "B P"]:
+        """Where everybody looks, in the order of `people()`; kept by those who stand."""
+        return self._state.heading
+
     def floor_plan(self, b: int) -> FloorPlan:
         """What stands in world b, people left out."""
         state = self._state
@@ -236,7 +241,7 @@ class Simulator:
         return plan
 
     def body_cylinders(self, b: int) -> Float[np.ndarray, "P parts 5"]:
-        """Everybody's legs, trunk and head in world b, rows (x, y, radius, z_min, z_max); radius 0 for nobody there."""
+        """Everybody's parts (`people.LEFT_LEG`, ...) in world b: x, y, radius, z_min, z_max; without radius: nobody."""
         slots = self._state.pos.shape[1]
         return self._state.cylinders[b, : PARTS * slots].astype(np.float64).reshape(slots, PARTS, 5)
 

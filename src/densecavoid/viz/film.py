@@ -232,7 +232,7 @@ class _Stage:
             canvas.fading_track(np.array(list(track)[::-2][::-1]), theme.PERSON, 2.0, 0.8)
         canvas.line(np.array(self._path), theme.ROBOT, 2.4, 0.75)
         for k in here:
-            canvas.person(people.pos_w[0, k], people.vel_w[0, k], float(people.radius_m[0, k]))
+            canvas.person(people.pos_w[0, k], float(simulator.heading_rad[0, k]), float(people.radius_m[0, k]))
         scan = frame.scan_m[0]
         hit = np.isfinite(scan)
         bearing = pose[2] + self._lidar.angles_rad[hit]

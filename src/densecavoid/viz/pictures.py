@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from densecavoid.benchmark.episode import Episode
@@ -65,10 +66,14 @@ def _people(canvas: Canvas, episode: Episode) -> None:
         points = track.pos_w[recent][::-2][::-1].astype(np.float64)
         canvas.fading_track(points, theme.PERSON, 2.2, 0.8)
         if track.instant[-1] == last:
-            # A track is sampled by the control step: its last piece is the way that they walk.
-            step_s = episode.time_s[-1] - episode.time_s[-2]
-            velocity = (track.pos_w[-1] - track.pos_w[-2]) / step_s if len(track.instant) > 1 else np.zeros(2)
-            canvas.person(track.pos_w[-1], velocity, float(track.radius_m[-1]))
+            canvas.person(track.pos_w[-1], _heading(track.pos_w), float(track.radius_m[-1]))
+
+
+def _heading(track_w: Float[np.ndarray, "n 2"]) -> float | None:
+    """Which way somebody last went; None for who has not moved by a hand's breadth."""
+    way = track_w[-1] - track_w
+    moved = np.flatnonzero(np.hypot(way[:, 0], way[:, 1]) > 0.1)
+    return float(np.arctan2(way[moved[-1], 1], way[moved[-1], 0])) if len(moved) else None
 
 
 def _path(canvas: Canvas, episode: Episode) -> None:

@@ -11,10 +11,12 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from densecavoid.sim.floorplan import FloorPlan
+from densecavoid.sim.people import half_depth
 from densecavoid.viz import theme
 
 SUPERSAMPLING = 3
 """Drawn so many times larger and then averaged, which smooths every edge."""
+_HEAD_RADIUS_M = 0.09
 
 WHOLE_ROOM_M = 12.5
 """A plan no longer than this is shown whole; of a longer one, what lies around the start and the goal."""
@@ -173,13 +175,21 @@ class Canvas:
             width=round(edge_px * SUPERSAMPLING),
         )
 
-    def person(self, centre_w: Float[np.ndarray, "2"], velocity_w: Float[np.ndarray, "2"], radius_m: float) -> None:
-        """A disc with a tick towards where they walk."""
-        self.disc(centre_w, radius_m, theme.PERSON, theme.PERSON_EDGE)
-        speed = float(np.hypot(*velocity_w))
-        if speed > 0.05:
-            ahead = np.asarray(velocity_w) / speed * radius_m
-            self.line(np.stack([centre_w + 0.15 * ahead, centre_w + 0.95 * ahead]), theme.PERSON_EDGE, 1.6)
+    def person(self, centre_w: Float[np.ndarray, "2"], heading_rad: float | None, radius_m: float) -> None:
+        """Shoulders across the way they look, and the head leaning towards it; a disc where that is not known."""
+        if heading_rad is None:
+            self.disc(centre_w, radius_m, theme.PERSON, theme.PERSON_EDGE)
+            self.disc(centre_w, _HEAD_RADIUS_M, theme.PERSON_EDGE)
+            return
+        depth = half_depth(radius_m)
+        ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
+        # Two half circles, from the back of the right shoulder to its front, then around the left one.
+        turn = np.linspace(-math.pi, 0.0, 16)
+        arc, shoulder = depth * np.stack([np.cos(turn), np.sin(turn)], axis=-1), np.array([0.0, radius_m - depth])
+        outline = np.concatenate([arc - shoulder, shoulder - arc])
+        outline = centre_w + outline @ np.array([[ahead[0], ahead[1]], [-ahead[1], ahead[0]]])
+        self._draw.polygon(self._flat(outline), fill=theme.PERSON, outline=theme.PERSON_EDGE, width=SUPERSAMPLING)
+        self.disc(centre_w + 0.45 * depth * ahead, _HEAD_RADIUS_M, theme.PERSON_EDGE)
 
     def robot(self, pose_w: Float[np.ndarray, "3"], radius_m: float) -> None:
         """A disc with an arrowhead towards where it looks."""

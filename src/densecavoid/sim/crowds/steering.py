@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.geometry import (
     BOX_HALF_LENGTH,
@@ -195,10 +193,9 @@ def _keep_out_of_things(state, b, i, robot_radius):
 
 
 @inner
-def move_people(state, b, intended, robot_radius, dt):
-    """Advances everybody in world b by `dt` seconds towards the intended velocities [P, 2]."""
+def move_people(state, b, intended, new_vel, robot_radius, dt):
+    """Advances everybody in world b by `dt` s towards the intended velocities [P, 2]; `new_vel` is scratch space."""
     num_people = state.pos.shape[1]
-    new_vel = np.zeros((num_people, 2))
     for i in range(num_people):
         if state.behaviour[b, i] == ABSENT or state.behaviour[b, i] == STANDING:
             continue
