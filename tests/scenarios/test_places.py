@@ -9,8 +9,8 @@ import pytest
 
 from densecavoid.frames import Command
 from densecavoid.scenarios import PLACES
-from densecavoid.scenarios.free_space import clear_path
-from densecavoid.scenarios.walk_net import BODY_ROOM_M, walk_net, way_is_clear
+from densecavoid.scenarios.free_space import clear_path, way_is_clear
+from densecavoid.scenarios.walk_net import BODY_ROOM_M, walk_net
 from densecavoid.sim.clearance import FOR_PEOPLE, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import STANDING, WANDERING

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from densecavoid.sim._jit import kernel
-from densecavoid.sim.clearance import FOR_ROBOT, Heights, clearances_m
+from densecavoid.sim.clearance import FOR_PEOPLE, FOR_ROBOT, Heights, clearances_m, nearest_thing
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.geometry import (
     BOX_COS,
@@ -38,6 +38,41 @@ _MAX_TRIES = 2000
 
 Ground = Callable[[Float[np.ndarray, "N 2"]], Bool[np.ndarray, "N"]]
 """Tells which points are places to be, where the plan alone does not (a map's unknown cells are not)."""
+
+Point = Float[np.ndarray, "2"] | tuple[float, float]
+
+
+@kernel
+def _way_is_clear(x0, y0, x1, y1, room0, room1, boxes, cylinders, low, high):
+    count = max(1, math.ceil(math.hypot(x1 - x0, y1 - y0) / 0.1))
+    for k in range(count + 1):
+        share = k / count
+        need = (1.0 - share) * room0 + share * room1
+        x, y = (1.0 - share) * x0 + share * x1, (1.0 - share) * y0 + share * y1
+        if nearest_thing(x, y, boxes, cylinders, low, high, need) < need:
+            return False
+    return True
+
+
+def way_is_clear(
+    plan: FloorPlan,
+    start: Point,
+    end: Point,
+    room_m: tuple[float, float],
+    heights: Heights = FOR_PEOPLE,
+) -> bool:
+    """Whether a straight way keeps `room_m` to things, so much at its start and at its end, and between evenly less."""
+    packed = plan.packed()
+    ends = float(start[0]), float(start[1]), float(end[0]), float(end[1])
+    rooms = float(room_m[0]), float(room_m[1])
+    if not _way_is_clear(*ends, *rooms, packed.boxes, packed.cylinders, *heights):
+        return False
+    if not plan.meshes:
+        return True
+    share = np.linspace(0.0, 1.0, math.ceil(math.dist(ends[:2], ends[2:]) / 0.1) + 1)[:, None]
+    need = ((1.0 - share) * rooms[0] + share * rooms[1])[:, 0]
+    clear = clearances_m(plan, (1.0 - share) * np.array(ends[:2]) + share * np.array(ends[2:]), max(rooms), heights)
+    return bool((clear >= need).all())
 
 
 @kernel

@@ -54,7 +54,7 @@ class Lobby(Levelled):
             builder.standing(np.array([[x + rng.uniform(-0.6, 0.6), depth - 0.7]]), np.array([-math.pi / 2]))
         builder.talkers(int(rng.uniform(0.4, 1.0) * (1 + 4 * self.level)), (1.0, 1.0, length - 1.0, depth - 2.4))
         speed = rng.uniform(0.4, 0.6 + 0.5 * self.level)
-        builder.walkers(4 + int(rng.uniform(0.5, 1.0) * self.level * 14), (speed, 0.2))
+        builder.walkers(4 + int(rng.uniform(0.5, 1.0) * self.level * 14), (speed, 0.2), cell_m=0.3)
         return builder.world()
 
 

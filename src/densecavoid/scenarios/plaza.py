@@ -44,7 +44,7 @@ class Plaza(Levelled):
         builder.robot(inside, inside, (6.0, 13.0))
         builder.talkers(int(rng.uniform(0.3, 1.0) * (1 + 4 * self.level)))
         speed = rng.uniform(0.5, 0.7 + 0.6 * self.level)
-        builder.walkers(4 + int(rng.uniform(0.5, 1.0) * self.level * 14), (speed, 0.25))
+        builder.walkers(4 + int(rng.uniform(0.5, 1.0) * self.level * 14), (speed, 0.25), cell_m=0.3)
         return builder.world()
 
 

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from densecavoid.frames import RobotConfig
 from densecavoid.scenarios.recordings import hermes_path, hermes_width_m, load_recording, resolve_data
+from densecavoid.sim.clearance import clearances_m
 from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import Replay, WorldSpec
@@ -33,17 +34,21 @@ def _people_near(recording: Recording, time_s: float, x: float, y: float) -> boo
 
 
 def _draw_start(
-    rng: np.random.Generator, recording: Recording, name: str, draw_way
+    rng: np.random.Generator, recording: Recording, name: str, plan: FloorPlan, draw_way
 ) -> tuple[tuple[float, float], tuple[float, float], float]:
-    """Start, goal and time such that nobody stands on the robot; the first tenth of the recording is left out."""
+    """Start, goal and time with room for the robot and nobody on it; the first tenth of the recording is left out."""
     for _ in range(_TRIES):
         start, goal = draw_way(rng)
         first = 0.1 * recording.duration_s
         last = max(first, recording.duration_s - math.dist(start, goal) / _SPEED_FOR_START)
         time_s = rng.uniform(first, last)
-        if not _people_near(recording, time_s, *start):
+        clear = clearances_m(plan, np.array([start, goal])) > RobotConfig().radius_m
+        if clear.all() and not _people_near(recording, time_s, *start):
             return start, goal, time_s
-    raise ValueError(f"{name}: no start free of people for {_START_CLEARANCE_M} m around in {_TRIES} tries")
+    raise ValueError(
+        f"{name}: no start and goal clear of walls, and free of people for {_START_CLEARANCE_M} m around the start, "
+        f"in {_TRIES} tries"
+    )
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,7 @@ class Hermes:
             end = _END_Y * float(rng.choice([-1.0, 1.0]))
             return (rng.uniform(_SIDE_M, width - _SIDE_M), end), (width / 2, -end)
 
-        start, goal, start_s = _draw_start(rng, recording, self.name, draw_way)
+        start, goal, start_s = _draw_start(rng, recording, self.name, plan, draw_way)
         return WorldSpec(
             scenario=self.name,
             floor_plan=plan,
@@ -117,7 +122,7 @@ class TrackFile:
             a, b = centre - half, centre + half
             return (float(a[0]), float(a[1])), (float(b[0]), float(b[1]))
 
-        start, goal, start_s = _draw_start(rng, recording, self.name, draw_way)
+        start, goal, start_s = _draw_start(rng, recording, self.name, plan, draw_way)
         return WorldSpec(
             scenario=self.name,
             floor_plan=plan,

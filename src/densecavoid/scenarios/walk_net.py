@@ -11,7 +11,7 @@ from scipy.ndimage import label
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from densecavoid.scenarios.free_space import Area, Ground, clearance_grid_m
+from densecavoid.scenarios.free_space import Area, Ground, Point, clearance_grid_m, way_is_clear
 from densecavoid.sim.clearance import FOR_PEOPLE, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.spec import NET_LINKS, NET_PLACES, WalkNet
@@ -21,21 +21,10 @@ BODY_ROOM_M = 0.36
 _COMFORTABLE_M, _SHORT_CELLS = 0.65, 3  # they keep this from corners, unless it makes them stop every few cells
 _ROOMY_M = 1.2  # ways prefer to keep this far from things
 _SPREAD_M = 0.9
-_DESTINATION_EVERY_M2 = 4.0
-_MAX_DESTINATIONS = 28
+_DESTINATION_EVERY_M2 = 5.0
+_MAX_DESTINATIONS = 24
 _SAME_PLACE_M = 0.7
 _NEIGHBOURS = 3
-
-
-def way_is_clear(
-    plan: FloorPlan, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], room_m: tuple[float, float]
-) -> bool:
-    """Whether a straight way keeps `room_m` to things, so much at its start and at its end, and between evenly less."""
-    count = max(2, math.ceil(math.dist(start, end) / 0.1) + 1)
-    share = np.linspace(0.0, 1.0, count)[:, None]
-    need = (1 - share[:, 0]) * room_m[0] + share[:, 0] * room_m[1]
-    clear = clearances_m(plan, (1 - share) * start + share * end, float(max(room_m)) + 0.1, FOR_PEOPLE)
-    return bool((clear >= need).all())
 
 
 class _Cells:
@@ -171,7 +160,7 @@ def _pairs(between: Float[np.ndarray, "D D"]) -> list[tuple[int, int]]:
 class _Net:
     def __init__(self, plan: FloorPlan) -> None:
         self._plan = plan
-        self._places: list[np.ndarray] = []
+        self._places: list[tuple[float, float]] = []
         self._spread: list[float] = []
         self._links: list[list[int]] = []
 
@@ -199,21 +188,21 @@ class _Net:
 
     def _place(self, point: np.ndarray, room: float, before: int | None = None, after: np.ndarray | None = None) -> int:
         """A place at a point of a way: one that is there, if the way may as well lead over it, or a new one."""
+        here = (float(point[0]), float(point[1]))
+        if here in self._places:
+            return self._places.index(here)
         for k, place in enumerate(self._places):
-            if math.dist(place, point) < 1e-6:
-                return k
-        for k, place in enumerate(self._places):
-            joins = math.dist(place, point) < _SAME_PLACE_M and len(self._links[k]) < NET_LINKS - 1
+            joins = math.dist(place, here) < _SAME_PLACE_M and len(self._links[k]) < NET_LINKS - 1
             if not joins or before is None or after is None or not self._clear(k, after):
                 continue
             if k == before or self._clear(k, self._places[before]):
                 return k
-        self._places.append(point)
+        self._places.append(here)
         self._spread.append(min(max(room - BODY_ROOM_M - 0.1, 0.0), _SPREAD_M))
         self._links.append([])
         return len(self._places) - 1
 
-    def _clear(self, k: int, point: np.ndarray) -> bool:
+    def _clear(self, k: int, point: Point) -> bool:
         return way_is_clear(self._plan, self._places[k], point, (BODY_ROOM_M, BODY_ROOM_M))
 
     def _link(self, a: int, b: int) -> None:

@@ -180,22 +180,24 @@ class WorldBuilder:
 
     # -- people who walk -----------------------------------------------------------------------------------------------
 
-    def walkers(self, count: int, speed: tuple[float, float]) -> None:
+    def walkers(self, count: int, speed: tuple[float, float], cell_m: float = 0.2) -> None:
         """Adds people who walk about at N(*speed) m/s from place to place in sight of one another.
+
+        Ways are found on cells of `cell_m`; larger ones do where no door is narrow.
 
         Raises:
             ValueError: if there is no room for so many.
         """
         if count:
-            self.walkers_on(self.net(), count, speed)
+            self.walkers_on(self.net(cell_m), count, speed)
 
-    def net(self) -> WalkNet:
+    def net(self, cell_m: float = 0.2) -> WalkNet:
         """Places in sight of one another, clear of everybody who stands.
 
         Raises:
             ValueError: if there is no room to walk.
         """
-        return walk_net(self.rng, self._with_standing, self.area, self.start, ground=self.ground)
+        return walk_net(self.rng, self._with_standing, self.area, self.start, cell_m, self.ground)
 
     def walkers_on(self, net: WalkNet, count: int, speed: tuple[float, float]) -> None:
         """The same on a given net."""

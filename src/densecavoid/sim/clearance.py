@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from densecavoid.frames import RobotConfig
-from densecavoid.sim._jit import kernel
+from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.geometry import (
     BOX_HALF_LENGTH,
@@ -35,6 +35,25 @@ _FAR_M = 10.0
 _TOUCH_M = 0.005  # bodies and things may touch: float32 and rounded files
 
 
+@inner
+def nearest_thing(x, y, boxes, cylinders, low, high, limit):
+    """Distance from a point to the nearest thing that reaches above `low` and begins below `high`, at most `limit`."""
+    nearest = limit
+    for k in range(boxes.shape[0]):
+        box = boxes[k]
+        reach = box[BOX_HALF_LENGTH] + box[BOX_HALF_WIDTH] + nearest
+        if abs(x - box[BOX_X]) > reach or abs(y - box[BOX_Y]) > reach:
+            continue
+        if box[BOX_Z_MAX] > low and box[BOX_Z_MIN] < high:
+            distance, _, _ = rectangle_offset(x, y, box)
+            nearest = min(nearest, distance)
+    for k in range(cylinders.shape[0]):
+        if cylinders[k, CYL_Z_MAX] > low and cylinders[k, CYL_Z_MIN] < high:
+            distance, _, _ = disc_offset(x, y, cylinders[k])
+            nearest = min(nearest, distance)
+    return nearest
+
+
 @kernel
 def _clearances(points, boxes, cylinders, low, high, limit, out):
     """Distance from each point [N, 2] to the nearest thing that reaches above `low` and begins below `high` (m).
@@ -42,21 +61,7 @@ def _clearances(points, boxes, cylinders, low, high, limit, out):
     Negative inside, at most `limit`; written to `out` [N].
     """
     for n in range(points.shape[0]):
-        x, y = points[n, 0], points[n, 1]
-        nearest = limit
-        for k in range(boxes.shape[0]):
-            box = boxes[k]
-            reach = box[BOX_HALF_LENGTH] + box[BOX_HALF_WIDTH] + nearest
-            if abs(x - box[BOX_X]) > reach or abs(y - box[BOX_Y]) > reach:
-                continue
-            if box[BOX_Z_MAX] > low and box[BOX_Z_MIN] < high:
-                distance, _, _ = rectangle_offset(x, y, box)
-                nearest = min(nearest, distance)
-        for k in range(cylinders.shape[0]):
-            if cylinders[k, CYL_Z_MAX] > low and cylinders[k, CYL_Z_MIN] < high:
-                distance, _, _ = disc_offset(x, y, cylinders[k])
-                nearest = min(nearest, distance)
-        out[n] = nearest
+        out[n] = nearest_thing(points[n, 0], points[n, 1], boxes, cylinders, low, high, limit)
 
 
 def clearances_m(

@@ -21,7 +21,7 @@ class RunConfig:
     """Settings of `densecavoid run`."""
 
     scenario: str = "dense-ped"
-    """A scenario by name, `hermes:<run>[:reactive]`, or `tracks:FILE[:reactive]`."""
+    """A scenario by name, `hermes:<run>[:reactive]`, `tracks:FILE[:reactive]`, `map:FILE[:PEOPLE]` or `plan:FILE`."""
     navigator: str = "densecavoid"
     """A navigator by name, or the path of an exported policy (.onnx)."""
     seed: int = 0

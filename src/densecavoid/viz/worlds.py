@@ -1,4 +1,7 @@
-"""Worlds seen from above as they begin: one picture of each, and a sheet of many. Knows no episodes."""
+"""Worlds seen from above as they begin: one picture of each, and a sheet of many. Knows no episodes.
+
+`python -m densecavoid.viz.worlds worlds.png` draws all families, with names of scenarios behind it those.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from densecavoid.frames import RobotConfig
-from densecavoid.scenarios import PLACES, TESTING, TRAINING
+from densecavoid.scenarios import PLACES, TESTING, TRAINING, make_scenario
 from densecavoid.sim.spec import Scenario, WorldSpec
 from densecavoid.viz import theme
 from densecavoid.viz.scene import Canvas, Extent
 
+_SEED = 3
 _MARGIN_PX = 14
 _TITLE_PX = 30
 
@@ -54,7 +58,7 @@ def world_picture(spec: WorldSpec, width_px: int, height_px: int) -> Image.Image
 
 
 def contact_sheet(
-    scenarios: Sequence[Scenario], seed: int = 3, columns: int = 3, cell_px: tuple[int, int] = (420, 330)
+    scenarios: Sequence[Scenario], seed: int = _SEED, columns: int = 3, cell_px: tuple[int, int] = (420, 330)
 ) -> Image.Image:
     """A world of each scenario with its name."""
     rows = math.ceil(len(scenarios) / columns)
@@ -69,6 +73,16 @@ def contact_sheet(
     return sheet
 
 
+def main(args: Sequence[str]) -> None:
+    """Writes the picture of the named scenarios' worlds, or of all families, to a file."""
+    out, names = Path(args[0] if args else "worlds.png"), args[1:]
+    if len(names) == 1:
+        image = world_picture(make_scenario(names[0]).spawn(np.random.default_rng(_SEED)), 1200, 720)
+    else:
+        families: list[Scenario] = [*PLACES.values(), *TRAINING.values(), *TESTING.values()][:-2]  # one of freezing
+        image = contact_sheet([make_scenario(name) for name in names] or families)
+    image.quantize(160, dither=Image.Dither.NONE).save(out, optimize=True)
+
+
 if __name__ == "__main__":
-    everything: list[Scenario] = [*PLACES.values(), *TRAINING.values(), *TESTING.values()]
-    contact_sheet(everything[:-2]).save(Path(sys.argv[1] if len(sys.argv) > 1 else "worlds.png"), optimize=True)
+    main(sys.argv[1:])
