@@ -1,4 +1,4 @@
-"""Speed of the simulator: environment steps, sensors beside MuJoCo's and PyBullet's rays, memory, crowds of any size.
+"""Speed of the simulator: environment steps, sensors and steps beside other engines, memory, many worlds and people.
 
 python benchmarks/simulator.py [--json FILE] [--worlds 64] [--seconds 5]
 """
@@ -18,7 +18,7 @@ from statistics import median
 import numpy as np
 
 from densecavoid.env import DenseCAvoidVectorEnv
-from densecavoid.frames import Command
+from densecavoid.frames import Command, LidarConfig
 from densecavoid.scenarios.free_space import free_points
 from densecavoid.sim._jit import available_threads
 from densecavoid.sim.floorplan import FloorPlan
@@ -30,6 +30,7 @@ PEOPLE, OBSTACLES = 15, 40
 HALL_M = 16.0
 CROWDS = (15, 50, 150, 500)
 SCALING_WORLDS = 16
+MANY_WORLDS = (64, 1024, 4096)
 PEER_WORLDS = 8
 """Each peer casts the rays of this many of the simulator's worlds."""
 
@@ -136,6 +137,41 @@ def compare_with_peers(simulator: Simulator, seconds: float) -> dict[str, float]
     return {"ray_speedup_mujoco": median(theirs["mujoco"]) / ours, "ray_speedup_pybullet": pybullet / ours}
 
 
+def compare_with_flat_simulators(ours: float, seconds: float) -> dict[str, float]:
+    """Whole steps a second of one flat simulator, which has people and a lidar but no depth camera; prints them.
+
+    Returns:
+        `speedup_irsim`; empty where it is not installed.
+    """
+    from peers.flat_simulators import irsim_steps_per_s
+
+    try:
+        rate = irsim_steps_per_s(PEOPLE, OBSTACLES, HALL_M, LidarConfig(), seconds)
+    except ModuleNotFoundError as error:
+        print(f"flat simulators: skipped, {error.name} is not installed (pip install ir-sim)")
+        return {}
+    print(f"{rate:9.0f} steps/s by IR-SIM, with the lidar alone: ours makes {ours / rate:.0f} times as many on one thread")
+    return {"speedup_irsim": ours / rate}
+
+
+def worlds_scaling(seconds: float) -> list[dict[str, float]]:
+    """Time of one step of one world by the number of worlds, with the memory that each takes (one thread)."""
+    rows: list[dict[str, float]] = []
+    for worlds in MANY_WORLDS:
+        simulator = busy_simulator(PEOPLE, worlds)
+        still = Command(np.zeros(worlds, np.float32), np.zeros(worlds, np.float32))
+
+        def step(simulator: Simulator = simulator, still: Command = still) -> None:
+            simulator.step(still)
+            simulator.sense()
+
+        rows.append({"worlds": worlds, "us_per_world_step": median_us(step, seconds / 4) / worlds})
+        print(
+            f"{rows[-1]['us_per_world_step']:9.1f} us a world step in a batch of {worlds}  (one thread, both sensors)"
+        )
+    return rows
+
+
 def people_scaling(seconds: float) -> list[dict[str, float]]:
     """Time of one step of one world (people, robot, both sensors; one thread) by the number of people, as dense."""
     rows: list[dict[str, float]] = []
@@ -166,11 +202,13 @@ def main() -> None:
     simulator = busy_simulator(PEOPLE, args.worlds)
     speedups = compare_with_peers(simulator, args.seconds)
     print(f"{simulator.bytes_per_world:9d} bytes a world  (its last scan and depth image included)")
-    scaling = people_scaling(args.seconds)
+    speedups |= compare_with_flat_simulators(results[1], args.seconds)
+    scaling, batches = people_scaling(args.seconds), worlds_scaling(args.seconds)
     if args.json:
         threads = max(results)
         record = {"env_steps_per_s": results[threads], "threads": threads, "processor": platform.processor()}
         record |= {**speedups, "bytes_per_world": simulator.bytes_per_world, "people_scaling": scaling}
+        record |= {"worlds_scaling": batches}
         args.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
