@@ -150,7 +150,9 @@ def compare_with_flat_simulators(ours: float, seconds: float) -> dict[str, float
     except ModuleNotFoundError as error:
         print(f"flat simulators: skipped, {error.name} is not installed (pip install ir-sim)")
         return {}
-    print(f"{rate:9.0f} steps/s by IR-SIM, with the lidar alone: ours makes {ours / rate:.0f} times as many on one thread")
+    print(
+        f"{rate:9.0f} steps/s by IR-SIM, with the lidar alone: ours makes {ours / rate:.0f} times as many on one thread"
+    )
     return {"speedup_irsim": ours / rate}
 
 
