@@ -21,4 +21,5 @@ def test_every_panel_shows_something_of_its_own():
 
 def test_the_command_writes_a_picture(tmp_path):
     main([str(tmp_path / "sensors.png"), "random-sparse-ped"])
-    assert Image.open(tmp_path / "sensors.png").size[0] > 1000
+    with Image.open(tmp_path / "sensors.png") as picture:
+        assert picture.size[0] > 1000
