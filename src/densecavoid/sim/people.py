@@ -17,8 +17,12 @@ from densecavoid.sim.geometry import CYL_RADIUS, CYL_X, CYL_Y, CYL_Z_MAX, CYL_Z_
 PARTS = 4
 """Cylinders a person: left leg, right leg, trunk, head."""
 
-ABSENT, STANDING, WANDERING, TRAVERSING, RECORDED = range(5)
-"""What a person does: is not there; stands; walks to random places; walks to one and leaves; follows a recording."""
+ABSENT, STANDING, WANDERING, TRAVERSING, RECORDED, CIRCULATING = range(6)
+"""What a person does: is not there; stands; walks to random places; walks to one and leaves; follows a recording; walks
+to one and enters again where they began."""
+
+IGNORE, YIELD, BLOCK = range(3)
+"""What a person thinks of the robot: nothing; makes way for it; is curious, and stops in front of it."""
 
 _LEG_RADIUS_M = 0.065
 _HEAD_RADIUS_M = 0.09
