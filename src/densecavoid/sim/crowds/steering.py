@@ -6,7 +6,7 @@ import math
 
 from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.crowds.contact import ROBOT_GAP_M, keep_out_of_things, part_bodies
-from densecavoid.sim.crowds.neighbours import walks
+from densecavoid.sim.crowds.neighbours import shoulder_line, walks
 from densecavoid.sim.people import YIELD, advance_gait
 
 _TURN_S = 0.2  # in which a walking person turns most of the way to where they go
@@ -19,17 +19,19 @@ def move_people(scene, phase, scratch, dt):
     """Moves everybody for `dt` seconds with the velocities in `scratch`; bodies part, and stay out of things."""
     pos, vel = scene.pos, scene.vel
     for i in range(len(pos)):
-        for axis in range(2):
-            scratch.before[i, axis] = pos[i, axis]
-            if walks(scene.behaviour[i]):
+        scratch.before[i, 0], scratch.before[i, 1] = pos[i, 0], pos[i, 1]
+        if walks(scene.behaviour[i]):
+            for axis in range(2):
                 vel[i, axis] = scratch.velocity[i, axis]
                 pos[i, axis] += vel[i, axis] * dt
+            # Turned before they part: shoulders that turn push others, too.
+            scene.heading[i], phase[i] = walk(vel[i, 0], vel[i, 1], scene.heading[i], phase[i], dt)
+            scratch.shoulder[i, 0], scratch.shoulder[i, 1] = shoulder_line(scene.heading[i], scene.radius[i])
     part_bodies(scene, scratch)
     for i in range(len(pos)):
         if walks(scene.behaviour[i]):
             robot_reach = scene.robot[4] + ROBOT_GAP_M if scene.attitude[i] >= YIELD else 0.0
             keep_out_of_things(scene, i, scratch, robot_reach)
-            scene.heading[i], phase[i] = walk(vel[i, 0], vel[i, 1], scene.heading[i], phase[i], dt)
 
 
 @kernel
