@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from densecavoid.frames import Command
@@ -26,7 +28,7 @@ class Given:
         return self.make(rng)
 
 
-def crowd(pos, goal, speed=1.0, behaviour=TRAVERSING, radius=0.25, **more) -> Crowd:
+def crowd(pos: Any, goal: Any, speed: Any = 1.0, behaviour: Any = TRAVERSING, radius: Any = 0.25, **more: Any) -> Crowd:
     """People of one kind."""
     pos, goal = np.atleast_2d(np.asarray(pos, float)), np.atleast_2d(np.asarray(goal, float))
     count = len(pos)
@@ -41,19 +43,18 @@ def crowd(pos, goal, speed=1.0, behaviour=TRAVERSING, radius=0.25, **more) -> Cr
     )
 
 
-def simulate(people: Crowd, plan: FloorPlan | None = None, config: SimConfig | None = None, **world) -> Simulator:
+def simulate(people: Crowd, plan: FloorPlan | None = None, config: SimConfig | None = None, **world: Any) -> Simulator:
     """One world with these people; the robot is far away unless told otherwise."""
-    spec = WorldSpec(
-        **{
-            "scenario": "given",
-            "floor_plan": plan or FloorPlan(),
-            "start_pose": (-500.0, 0.0, 0.0),
-            "goal": (900.0, 0.0),
-            "crowd": people,
-            "time_limit_s": 1e6,
-            **world,
-        }
-    )
+    values: dict[str, Any] = {
+        "scenario": "given",
+        "floor_plan": plan or FloorPlan(),
+        "start_pose": (-500.0, 0.0, 0.0),
+        "goal": (900.0, 0.0),
+        "crowd": people,
+        "time_limit_s": 1e6,
+        **world,
+    }
+    spec = WorldSpec(**values)
     sim = Simulator(Given(lambda rng: spec), 1, config or SimConfig(threads=1))
     sim.reset(np.zeros(1, np.int64))
     return sim

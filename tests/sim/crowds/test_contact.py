@@ -85,8 +85,10 @@ def hall(rng: np.random.Generator, density: float) -> WorldSpec:
     plan.wall(0.0, 2.5, door - 0.6, 2.5)
     plan.wall(door + 0.6, 2.5, side, 2.5)
     for _ in range(2):
-        plan.box(*rng.uniform(0.8, side - 0.8, 2), *rng.uniform(0.1, 0.6, 2), rng.uniform(0, 3))
-        plan.pillar(*rng.uniform(0.8, side - 0.8, 2), rng.uniform(0.05, 0.3))
+        x, y, x2, y2 = rng.uniform(0.8, side - 0.8, 4).tolist()
+        length, width = rng.uniform(0.1, 0.6, 2).tolist()
+        plan.box(x, y, length, width, rng.uniform(0, 3))
+        plan.pillar(x2, y2, rng.uniform(0.05, 0.3))
     radius, pos = rng.uniform(0.19, 0.33, 400), np.zeros((0, 2))
     for tried in range(4000):
         place = rng.uniform(0.3, side - 0.3, (1, 2))
@@ -95,7 +97,9 @@ def hall(rng: np.random.Generator, density: float) -> WorldSpec:
             pos = np.vstack([pos, place])
         if len(pos) >= density * side * side:
             break
-    kind = np.where(rng.random(len(pos)) < 0.1, STANDING, WANDERING)
+    # Who stands has room around: nobody starts wedged between those who do not give way.
+    apart = np.hypot(*(pos[:, None] - pos[None]).transpose(2, 0, 1)) + 9.0 * np.eye(len(pos))
+    kind = np.where((rng.random(len(pos)) < 0.3) & (apart.min(axis=1) > 0.62), STANDING, WANDERING)
     people = crowd(
         pos,
         rng.uniform(0.4, side - 0.4, pos.shape),

@@ -229,7 +229,9 @@ def test_reactive_recorded_people_follow_their_way_with_any_model(motion, data_d
     sim.reset(np.array([3]))
     state, step = sim._state, 60
     go(sim, step * 0.1)
-    recording = scenario.spawn(np.random.default_rng(3)).replay.recording
+    replay = scenario.spawn(np.random.default_rng(3)).replay
+    assert replay is not None
+    recording = replay.recording
     person, rows = recording.at(int(state.recording_step[0]) + 2 * step)
     where = {int(p): row[:2] for p, row in zip(person, rows, strict=True)}
     there = np.flatnonzero(state.behaviour[0] != ABSENT)

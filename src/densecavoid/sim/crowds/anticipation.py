@@ -135,10 +135,10 @@ def _wall_force(x, y, radius, scene, things, near, walls):
 
 
 @inlined
-def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, dir_y, speed, gap):
-    """What lies in a direction: metres to the first body or thing as they are now, and metres that a person can go at a
-    speed before they meet one, if the others go on as they do."""
-    free, way = _SIGHT_M, _SIGHT_M
+def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, dir_y, speed, gap, wish_x, wish_y):
+    """What lies in a direction: metres to the first body or thing as they are now, metres that a person can go at a
+    speed before they meet one, if the others go on as they do, and whether the first faces them."""
+    free, way, meets = _SIGHT_M, _SIGHT_M, False
     for n in range(bodies):
         row = seen[n]
         along, across = row[0] * dir_x + row[1] * dir_y, row[1] * dir_x - row[0] * dir_y
@@ -151,7 +151,9 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         if along > 0.0 and abs(across) < reach and not (oncoming and miss_2 > reach * reach):
             inside = 1.0 - across * across / (reach * reach)
             body = depth + row[4] + abs(line_x * dir_x + line_y * dir_y) + abs(row[5] * dir_x + row[6] * dir_y)
-            free = min(free, (along - body * math.sqrt(inside)) / inside - (0.0 if oncoming else gap))
+            space = (along - body * math.sqrt(inside)) / inside - (0.0 if oncoming else gap)
+            if space < free:
+                free, meets = space, row[6] * wish_x - row[5] * wish_y < 0.0
         reach = (_SWATH_ONCOMING if oncoming else _SWATH) * width
         if closing > 0.0 and miss_2 < reach * reach:
             way = min(way, speed * (closing / speed_2 - math.sqrt((reach * reach - miss_2) / speed_2)))
@@ -160,7 +162,7 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         if towards > 0.05 and walls[n, 0] < free * towards:
             free = walls[n, 0] / towards
             way = min(way, free)
-    return max(free, 0.0), max(way, 0.0)
+    return max(free, 0.0), max(way, 0.0), meets
 
 
 @inner
@@ -189,8 +191,8 @@ def choose_velocities(scene, scratch, dt):
             to_x, to_y = to_x / speed, to_y / speed
             speed = min(speed, math.sqrt(wish_2) if wish_2 > 1e-6 else scene.preferred_speed[i])
             speed = min(speed, _OVERSPEED * scene.preferred_speed[i])
-            free, worth = _free_space(
-                scratch.seen, bodies, walls, things, depth, line_x, line_y, to_x, to_y, speed, _GAP
+            free, worth, meets = _free_space(
+                scratch.seen, bodies, walls, things, depth, line_x, line_y, to_x, to_y, speed, _GAP, wish_x, wish_y
             )
             enough = speed * _FOLLOW_S
             best = min(worth, enough)
@@ -200,13 +202,25 @@ def choose_velocities(scene, scratch, dt):
                     angle = _LOOK_RAD[k // 2] * (1.0 - 2.0 * (k % 2))
                     cos, sin = math.cos(angle), math.sin(angle)
                     look_x, look_y = cos * dir_x - sin * dir_y, sin * dir_x + cos * dir_y
-                    space, worth = _free_space(
-                        scratch.seen, bodies, walls, things, depth, line_x, line_y, look_x, look_y, speed, cos * _GAP
+                    space, worth, facing = _free_space(
+                        scratch.seen,
+                        bodies,
+                        walls,
+                        things,
+                        depth,
+                        line_x,
+                        line_y,
+                        look_x,
+                        look_y,
+                        speed,
+                        cos * _GAP,
+                        wish_x,
+                        wish_y,
                     )
                     worth = min(worth, enough) * (cos + _SIDESTEP) * (1.0 if angle > 0.0 else 1.0 + _RIGHT)
                     if worth > best + _WORTH_TURNING * enough:
-                        best, free, to_x, to_y = worth, space, look_x, look_y
-            speed = min(speed, max(free / _HEADWAY_S, _CREEP))
+                        best, free, meets, to_x, to_y = worth, space, facing, look_x, look_y
+            speed = min(speed, max(free / _HEADWAY_S, _CREEP if meets else 0.0))
         share = min(dt / (_BRAKING_S if vx * vx + vy * vy > speed * speed else _RELAXATION_S), 1.0)
         scratch.velocity[i, 0] = vx + share * (speed * to_x - vx)
         scratch.velocity[i, 1] = vy + share * (speed * to_y - vy)

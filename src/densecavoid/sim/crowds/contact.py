@@ -17,7 +17,7 @@ ROBOT_GAP_M = 0.05
 """Nearer than this to the robot nobody steps who notices it."""
 MAX_RADIUS_M = 0.45
 """Nobody is wider than twice this (`Crowd` refuses them): bodies farther apart than that do not touch."""
-_SWEEPS = 2  # over all pairs, each step
+_SWEEPS = 2  # over all pairs, before things have their say
 _MAX_PUSH_M = 0.08  # by others in one step
 _MAX_STEP_M = 0.2  # in all: less than the radius, so that nobody is pushed through a wall
 _TOUCH_M = 1e-4
@@ -85,10 +85,9 @@ def _body_gap(off_x, off_y, line_i, line_j, radius_i, radius_j):
 
 @inner
 def part_bodies(scene, scratch):
-    """Moves overlapping people apart, half each; who stands does not give way."""
+    """Moves overlapping people apart, half each; who stands does not give way. Whether any overlapped."""
     pos, radius, push = scene.pos, scene.radius, scratch.push
-    push[:] = 0.0
-    for _ in range(_SWEEPS):
+    for sweep in range(_SWEEPS):
         touched = False
         for i in range(len(pos)):
             if scene.behaviour[i] == ABSENT:
@@ -113,7 +112,8 @@ def part_bodies(scene, scratch):
                 if not j_stands:
                     push[j] = _push(pos[j], scene.vel[j], push[j], -x, -y, -share * gap)
         if not touched:
-            break
+            return sweep > 0
+    return True
 
 
 @inlined
