@@ -242,7 +242,7 @@ def begin(first, last, state, recordings, replay_reactive, which, robot_height, 
             continue
         if state.recording[b] >= 0:
             intended = np.zeros((state.pos.shape[1], 2))
-            follow_recording(state, b, recordings, 0, replay_reactive[b], intended, dt)
+            follow_recording(state, b, recordings, state.step_count[b], replay_reactive[b], intended, dt)
         place_bodies(state, b)
         x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
         state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height)

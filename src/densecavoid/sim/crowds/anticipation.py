@@ -16,7 +16,7 @@ from densecavoid.sim._jit import inlined, inner, kernel
 from densecavoid.sim.crowds.neighbours import MAX_THINGS, collect, thing_offset, walks
 from densecavoid.sim.people import YIELD, half_depth
 
-_RELAXATION_S = 0.5  # to the intended velocity (Helbing-Molnar's tau)
+_RELAXATION_S = 0.4  # to the intended velocity (Helbing-Molnar's tau)
 _ANTICIPATION_GAIN = 1.5  # k of the power law
 _ANTICIPATION_HORIZON_S = 3.0  # tau0 of the power law
 _HORIZON_S = 8.0  # collisions later than this are not thought of
@@ -27,20 +27,21 @@ _MAX_ACCELERATION = 4.0  # m/s2
 _WALL_FORCE = 3.0  # m/s2 at the surface
 _WALL_RANGE_M = 0.15
 _OVERSPEED = 1.3  # the greatest speed as a multiple of the preferred one
-_HEADWAY_S = 0.8  # T: time in which a person would walk the free space ahead
-_BRAKING_S = 0.2  # in which people adapt to less free space
+_HEADWAY_S = 0.82  # T: time in which a person would walk the free space ahead
+_BRAKING_S = 0.12  # in which people adapt to less free space
 _FOLLOW_S = 1.5  # how far ahead people think when they choose a way
 _CONTENT = 0.8  # of the speed they would like: with less, people look for another way
 _WORTH_TURNING = 0.03  # of that speed: so much better another way must be
 _LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
-_RIGHT = 0.14  # share of that speed that the right side is worth more than the left
+_RIGHT = 0.19  # share of that speed that the right side is worth more than the left
 _SIDESTEP = 0.28
-_ASIDE = 0.5
+_ASIDE = 0.7
 _CREEP = 0.34
-_GAP = 0.0  # m that people leave to the body ahead even when they stand
-_SEEN_BEHIND = 0.17  # cosine: people see 200 degrees around where they want to go
-_SWATH = 0.43  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
-_SWATH_ONCOMING = 1.0  # the same for who comes the other way
+_SHOULDER_TURN = 1.2  # rad by which people turn a shoulder to squeeze past one who faces them
+_SQUEEZE_M = 0.4  # nearer than this
+_SEEN_BEHIND = -0.16  # cosine: people see 200 degrees around where they want to go
+_SWATH = 0.5  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
+_SWATH_ONCOMING = 0.9  # the same for who comes the other way
 
 
 @kernel
@@ -135,7 +136,7 @@ def _wall_force(x, y, radius, scene, things, near, walls):
 
 
 @inlined
-def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, dir_y, speed, gap, wish_x, wish_y):
+def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, dir_y, speed, wish_x, wish_y):
     """What lies in a direction: metres to the first body or thing as they are now, metres that a person can go at a
     speed before they meet one, if the others go on as they do, and whether the first faces them."""
     free, way, meets = _SIGHT_M, _SIGHT_M, False
@@ -151,7 +152,7 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         if along > 0.0 and abs(across) < reach and not (oncoming and miss_2 > reach * reach):
             inside = 1.0 - across * across / (reach * reach)
             body = depth + row[4] + abs(line_x * dir_x + line_y * dir_y) + abs(row[5] * dir_x + row[6] * dir_y)
-            space = (along - body * math.sqrt(inside)) / inside - (0.0 if oncoming else gap)
+            space = (along - body * math.sqrt(inside)) / inside
             if space < free:
                 free, meets = space, row[6] * wish_x - row[5] * wish_y < 0.0
         reach = (_SWATH_ONCOMING if oncoming else _SWATH) * width
@@ -175,6 +176,7 @@ def choose_velocities(scene, scratch, dt):
         radius = scene.radius[i]
         depth = half_depth(radius)
         line_x, line_y = scratch.shoulder[i]
+        scratch.turn[i] = 0.0
         x, y, vx, vy = scene.pos[i, 0], scene.pos[i, 1], scene.vel[i, 0], scene.vel[i, 1]
         wish_x, wish_y = scratch.intended[i, 0], scratch.intended[i, 1]
         bodies, force_x, force_y = _look_around(scene, i, scratch)
@@ -191,36 +193,25 @@ def choose_velocities(scene, scratch, dt):
             to_x, to_y = to_x / speed, to_y / speed
             speed = min(speed, math.sqrt(wish_2) if wish_2 > 1e-6 else scene.preferred_speed[i])
             speed = min(speed, _OVERSPEED * scene.preferred_speed[i])
-            free, worth, meets = _free_space(
-                scratch.seen, bodies, walls, things, depth, line_x, line_y, to_x, to_y, speed, _GAP, wish_x, wish_y
-            )
-            enough = speed * _FOLLOW_S
-            best = min(worth, enough)
-            if best < _CONTENT * enough:
-                dir_x, dir_y = to_x, to_y
-                for k in range(2 * len(_LOOK_RAD)):
-                    angle = _LOOK_RAD[k // 2] * (1.0 - 2.0 * (k % 2))
-                    cos, sin = math.cos(angle), math.sin(angle)
-                    look_x, look_y = cos * dir_x - sin * dir_y, sin * dir_x + cos * dir_y
-                    space, worth, facing = _free_space(
-                        scratch.seen,
-                        bodies,
-                        walls,
-                        things,
-                        depth,
-                        line_x,
-                        line_y,
-                        look_x,
-                        look_y,
-                        speed,
-                        cos * _GAP,
-                        wish_x,
-                        wish_y,
-                    )
-                    worth = min(worth, enough) * (cos + _SIDESTEP) * (1.0 if angle > 0.0 else 1.0 + _RIGHT)
-                    if worth > best + _WORTH_TURNING * enough:
-                        best, free, meets, to_x, to_y = worth, space, facing, look_x, look_y
-            speed = min(speed, max(free / _HEADWAY_S, _CREEP if meets else 0.0))
+            dir_x, dir_y, enough, best, ahead = to_x, to_y, speed * _FOLLOW_S, -1.0, 0.0
+            for k in range(-1, 2 * len(_LOOK_RAD)):
+                if k == 0 and best >= _CONTENT * enough:
+                    break
+                angle = _LOOK_RAD[k // 2] * (1.0 - 2.0 * (k % 2)) if k >= 0 else 0.0
+                cos, sin = math.cos(angle), math.sin(angle)
+                look_x, look_y = cos * dir_x - sin * dir_y, sin * dir_x + cos * dir_y
+                free, worth, facing = _free_space(
+                    scratch.seen, bodies, walls, things, depth, line_x, line_y, look_x, look_y, speed, wish_x, wish_y
+                )
+                worth = min(worth, enough)
+                if k >= 0:
+                    worth *= (cos + _SIDESTEP) * (1.0 if angle > 0.0 else 1.0 + _RIGHT)
+                if worth > best + _WORTH_TURNING * enough or k < 0:
+                    best, ahead, to_x, to_y = worth, free / _HEADWAY_S, look_x, look_y
+                    if facing:
+                        ahead = max(ahead, _CREEP)
+                    scratch.turn[i] = _SHOULDER_TURN if facing and free < _SQUEEZE_M else 0.0
+            speed = min(speed, ahead)
         share = min(dt / (_BRAKING_S if vx * vx + vy * vy > speed * speed else _RELAXATION_S), 1.0)
         scratch.velocity[i, 0] = vx + share * (speed * to_x - vx)
         scratch.velocity[i, 1] = vy + share * (speed * to_y - vy)

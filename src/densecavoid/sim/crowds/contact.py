@@ -116,7 +116,7 @@ def part_bodies(scene, scratch):
     return True
 
 
-@inlined
+@inner
 def _out_of_things(scene, i, scratch, standing, robot_reach):
     """Moves person i out of whatever they are in, one thing after another; how many there were.
 
@@ -151,7 +151,7 @@ def _out_of_things(scene, i, scratch, standing, robot_reach):
     return count
 
 
-@inlined
+@inner
 def keep_out_of_things(scene, i, scratch, robot_reach):
     """Keeps person i out of walls, furniture, pillars and people who stand, and off the robot.
 
@@ -166,11 +166,8 @@ def keep_out_of_things(scene, i, scratch, robot_reach):
             if scene.behaviour[scratch.near[n]] == STANDING:
                 scratch.near[standing] = scratch.near[n]
                 standing += 1
-    for _ in range(2):
-        count = _out_of_things(scene, i, scratch, standing, robot_reach)
-        if count == 0:
+    for _ in range(3):
+        if _out_of_things(scene, i, scratch, standing, robot_reach) == 0:
             return
-    if count == 1 and _out_of_things(scene, i, scratch, standing, robot_reach) == 0:
-        return
     scene.pos[i, 0], scene.pos[i, 1] = x, y
     scene.vel[i, 0] = scene.vel[i, 1] = 0.0

@@ -92,6 +92,7 @@ class Scratch(NamedTuple):
     intended: np.ndarray  # f64 [P, 2] where each wants to go, m/s
     velocity: np.ndarray  # f64 [P, 2] where each will go
     before: np.ndarray  # f64 [P, 2] where each was
+    turn: np.ndarray  # f64 [P] rad by which each turns their shoulders out of the way they go
     push: np.ndarray  # f64 [P] metres that others have pushed each in this step
     near: np.ndarray  # i64 [P] the people around one
     seen: np.ndarray  # f64 [P + 1, 7] what a model notes of each of them, and of the robot
@@ -112,6 +113,7 @@ def make_scratch(num_people):
         np.zeros((num_people, 2)),
         np.zeros((num_people, 2)),
         np.zeros((num_people, 2)),
+        np.zeros(num_people),
         np.zeros(num_people),
         np.zeros(num_people, np.int64),
         np.zeros((num_people + 1, 7)),
@@ -169,7 +171,7 @@ def look_up(scene, scratch):
     start[columns * rows] = count
 
 
-@inlined
+@inner
 def collect(i, x, y, scratch, radius):
     """Writes who was within `radius` of (x, y) when people were sorted into `scratch.near`; how many those are.
 

@@ -26,7 +26,7 @@ def move_people(scene, phase, scratch, dt):
                 vel[i, axis] = scratch.velocity[i, axis]
                 pos[i, axis] += vel[i, axis] * dt
             # Turned before they part: shoulders that turn push others, too.
-            scene.heading[i], phase[i] = walk(vel[i, 0], vel[i, 1], scene.heading[i], phase[i], dt)
+            scene.heading[i], phase[i] = walk(vel[i, 0], vel[i, 1], scene.heading[i], phase[i], scratch.turn[i], dt)
             scratch.shoulder[i, 0], scratch.shoulder[i, 1] = shoulder_line(scene.heading[i], scene.radius[i])
     scratch.push[:] = 0.0
     for _ in range(_ROUNDS):
@@ -40,11 +40,12 @@ def move_people(scene, phase, scratch, dt):
 
 
 @kernel
-def walk(vx, vy, heading, phase, dt):
+def walk(vx, vy, heading, phase, turn, dt):
     """Heading and phase of the stride of somebody who has walked for `dt` seconds: people turn the way they go."""
     speed = math.sqrt(vx * vx + vy * vy)
-    if speed > 0.1:
-        heading = turned(heading, math.atan2(vy, vx), min(speed / _TURN_SPEED, 1.0), dt)
+    if turn != 0.0 or speed > 0.1:
+        share = 1.0 if turn != 0.0 else min(speed / _TURN_SPEED, 1.0)
+        heading = turned(heading, math.atan2(vy, vx) + turn, share, dt)
     return heading, advance_gait(phase, speed, dt)
 
 
