@@ -16,7 +16,7 @@ from densecavoid.sim._jit import inlined, inner, kernel
 from densecavoid.sim.crowds.neighbours import MAX_THINGS, collect, thing_offset, walks
 from densecavoid.sim.people import YIELD, half_depth
 
-_RELAXATION_S = 0.4  # to the intended velocity (Helbing-Molnar's tau)
+_RELAXATION_S = 0.4  # to the intended velocity (Helbing-Molnar's tau is .5)
 _ANTICIPATION_GAIN = 1.5  # k of the power law
 _ANTICIPATION_HORIZON_S = 3.0  # tau0 of the power law
 _HORIZON_S = 8.0  # collisions later than this are not thought of
@@ -27,21 +27,23 @@ _MAX_ACCELERATION = 4.0  # m/s2
 _WALL_FORCE = 3.0  # m/s2 at the surface
 _WALL_RANGE_M = 0.15
 _OVERSPEED = 1.3  # the greatest speed as a multiple of the preferred one
+
+# Chosen so that corridor flow is that of the HERMES recordings (benchmarks/crowds.py).
 _HEADWAY_S = 0.82  # T: time in which a person would walk the free space ahead
 _BRAKING_S = 0.12  # in which people adapt to less free space
-_FOLLOW_S = 1.5  # how far ahead people think when they choose a way
-_CONTENT = 0.8  # of the speed they would like: with less, people look for another way
-_WORTH_TURNING = 0.03  # of that speed: so much better another way must be
-_LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
-_RIGHT = 0.19  # share of that speed that the right side is worth more than the left
-_SIDESTEP = 0.28
-_ASIDE = 0.7
-_CREEP = 0.34
-_SHOULDER_TURN = 1.2  # rad by which people turn a shoulder to squeeze past one who faces them
-_SQUEEZE_M = 0.4  # nearer than this
-_SEEN_BEHIND = -0.16  # cosine: people see 200 degrees around where they want to go
 _SWATH = 0.5  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
-_SWATH_ONCOMING = 0.9  # the same for who comes the other way
+_SWATH_ONCOMING = 0.9  # of both widths: so far apart people like to pass who meet
+_SEEN_BEHIND = -0.16  # cosine: people see 160 degrees around where they want to go
+_ASIDE = 0.7  # share of the force, of which only the part across the wished direction acts
+_FOLLOW_S = 1.5  # how far ahead people think when they choose a way
+_CONTENT = 0.8  # of the way they would like to go in that time: with less, people look for another
+_WORTH_TURNING = 0.03  # of it: so much longer another way must be
+_LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
+_RIGHT = 0.19  # by which a way to the right is worth more than one to the left
+_SIDESTEP = 0.28  # what a way straight aside is worth, of one straight ahead
+_SHOULDER_TURN = 1.4  # rad by which people turn a shoulder to squeeze past one who faces them
+_SQUEEZE_M = 0.7  # when that one is nearer than this
+_CREEP = 0.5  # m/s with which they then press on
 
 
 @kernel
