@@ -29,7 +29,8 @@ _WALL_RANGE_M = 0.15
 _OVERSPEED = 1.3  # the greatest speed as a multiple of the preferred one
 
 # Chosen so that corridor flow is that of the HERMES recordings (benchmarks/crowds.py).
-_HEADWAY_S = 0.82  # T: time in which a person would walk the free space ahead
+_HEADWAY_S = 0.68  # T: time in which a person would walk the free space ahead
+_GAP_M = 0.09  # that people leave to the body ahead even when they stand
 _BRAKING_S = 0.12  # in which people adapt to less free space
 _SWATH = 0.5  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
 _SWATH_ONCOMING = 0.9  # of both widths: so far apart people like to pass who meet
@@ -154,9 +155,10 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         if along > 0.0 and abs(across) < reach and not (oncoming and miss_2 > reach * reach):
             inside = 1.0 - across * across / (reach * reach)
             body = depth + row[4] + abs(line_x * dir_x + line_y * dir_y) + abs(row[5] * dir_x + row[6] * dir_y)
-            space = (along - body * math.sqrt(inside)) / inside
+            faces = row[6] * wish_x - row[5] * wish_y < 0.0
+            space = (along - body * math.sqrt(inside)) / inside - (0.0 if faces else _GAP_M)
             if space < free:
-                free, meets = space, row[6] * wish_x - row[5] * wish_y < 0.0
+                free, meets = space, faces
         reach = (_SWATH_ONCOMING if oncoming else _SWATH) * width
         if closing > 0.0 and miss_2 < reach * reach:
             way = min(way, speed * (closing / speed_2 - math.sqrt((reach * reach - miss_2) / speed_2)))
