@@ -289,7 +289,7 @@ def draw(path: Path, tables: dict[str, list[dict[str, float]]], rings: RingSimul
                 spine.set_color(colour(theme.BORDER))
     above, state = axes["above"], rings.simulator._state
     above.set_title(
-        "two-way from above: blue walk to the right, orange to the left", color=colour(theme.INK), loc="left"
+        "two-way, 1.1 per m²: blue walk to the right, orange to the left", color=colour(theme.INK), loc="left"
     )
     for y in (0.0, WIDTH_M):
         above.axhline(y, color=colour(theme.WALL), lw=3)
@@ -326,7 +326,7 @@ def main() -> None:
                 lanes.append(
                     {"density": density, "order": np.nanmean(orders[:, 0]), "shuffled": np.nanmean(orders[:, 1])}
                 )
-                shown = rings if density <= 1.6 else shown
+                shown = rings if density <= 1.1 else shown
         tables[way] = compare(diagram[key], join(parts))
         print_table(f"{way}, {args.motion}", tables[way])
         result[way.replace("-", "_")] = tables[way]

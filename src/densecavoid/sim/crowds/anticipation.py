@@ -109,9 +109,10 @@ def _look_around(scene, i, scratch):
             line_x, line_y = scratch.shoulder[j]
             depth, room = half_depth(scene.radius[j]), _ELBOW_ROOM_M
             other_vx, other_vy = scene.vel[j, 0], scene.vel[j, 1]
+            way_x, way_y = scratch.intended[j] if walks(scene.behaviour[j]) else scene.vel[j]
         else:
             line_x, line_y, depth, room = 0.0, 0.0, scene.robot[4], _ROBOT_ROOM_M
-            other_vx, other_vy = scene.robot[2], scene.robot[3]
+            other_vx, other_vy, way_x, way_y = scene.robot[2], scene.robot[3], 0.0, 0.0
         width = abs(own_x * off_x + own_y * off_y) + abs(line_x * off_x + line_y * off_y)
         reach = own_depth + depth + room + width / max(distance, 1e-6)
         fx, fy = anticipation_force(off_x, off_y, vx - other_vx, vy - other_vy, reach)
@@ -119,7 +120,7 @@ def _look_around(scene, i, scratch):
         total_y += fy
         row = scratch.seen[count]
         row[0], row[1], row[2], row[3] = off_x, off_y, other_vx, other_vy
-        row[4], row[5], row[6] = depth, line_x, line_y
+        row[4], row[5], row[6], row[7] = depth, line_x, line_y, way_x * wish_x + way_y * wish_y
         count += 1
     return count, total_x, total_y
 
@@ -139,7 +140,7 @@ def _wall_force(x, y, radius, scene, things, near, walls):
 
 
 @inlined
-def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, dir_y, speed, wish_x, wish_y):
+def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, dir_y, speed):
     """What lies in a direction: metres to the first body or thing as they are now, metres that a person can go at a
     speed before they meet one, if the others go on as they do, and whether the first faces them."""
     free, way, meets = _SIGHT_M, _SIGHT_M, False
@@ -155,7 +156,7 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         if along > 0.0 and abs(across) < reach and not (oncoming and miss_2 > reach * reach):
             inside = 1.0 - across * across / (reach * reach)
             body = depth + row[4] + abs(line_x * dir_x + line_y * dir_y) + abs(row[5] * dir_x + row[6] * dir_y)
-            faces = row[6] * wish_x - row[5] * wish_y < 0.0
+            faces = row[7] < 0.0
             space = (along - body * math.sqrt(inside)) / inside - (0.0 if faces else _GAP_M)
             if space < free:
                 free, meets = space, faces
@@ -205,7 +206,7 @@ def choose_velocities(scene, scratch, dt):
                 cos, sin = math.cos(angle), math.sin(angle)
                 look_x, look_y = cos * dir_x - sin * dir_y, sin * dir_x + cos * dir_y
                 free, worth, facing = _free_space(
-                    scratch.seen, bodies, walls, things, depth, line_x, line_y, look_x, look_y, speed, wish_x, wish_y
+                    scratch.seen, bodies, walls, things, depth, line_x, line_y, look_x, look_y, speed
                 )
                 worth = min(worth, enough)
                 if k >= 0:

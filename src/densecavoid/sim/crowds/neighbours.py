@@ -95,7 +95,7 @@ class Scratch(NamedTuple):
     turn: np.ndarray  # f64 [P] rad by which each turns their shoulders out of the way they go
     push: np.ndarray  # f64 [P] metres that others have pushed each in this step
     near: np.ndarray  # i64 [P] the people around one
-    seen: np.ndarray  # f64 [P + 1, 7] what a model notes of each of them, and of the robot
+    seen: np.ndarray  # f64 [P + 1, 8] what a model notes of each of them, and of the robot
     things: np.ndarray  # i64 [P, MAX_THINGS] what stands near each: boxes, then pillars
     num_things: np.ndarray  # i64 [P] how much
     shoulder: np.ndarray  # f64 [P, 2] of each (`shoulder_line`)
@@ -116,7 +116,7 @@ def make_scratch(num_people):
         np.zeros(num_people),
         np.zeros(num_people),
         np.zeros(num_people, np.int64),
-        np.zeros((num_people + 1, 7)),
+        np.zeros((num_people + 1, 8)),
         np.zeros((num_people, MAX_THINGS), np.int64),
         np.zeros(num_people, np.int64),
         np.zeros((num_people, 2)),
