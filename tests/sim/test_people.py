@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from densecavoid.sim.crowds.steering import anticipation_force
+from densecavoid.sim.crowds.anticipation import anticipation_force
 from densecavoid.sim.people import PARTS, advance_gait, place_body, sample_bodies, step_length
 
 
