@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from densecavoid.frames import RobotConfig
-from densecavoid.sim.crowds.steering import anticipation_force
+from densecavoid.sim.crowds.anticipation import anticipation_force
 from densecavoid.sim.people import (
     HEAD,
     LEFT_ARM,

@@ -220,10 +220,15 @@ def test_people_neither_overlap_for_long_nor_enter_walls(seed):
     sim.reset(seed * 10 + np.arange(4))
     for _ in range(80):
         drive(sim, 0.0)
-    people = sim.people()
+    people, heading = sim.people(), sim._state.heading
     for b in range(4):
         pos, radius = people.pos_w[b], people.radius_m[b]
-        gap = np.hypot(*(pos[:, None] - pos[None]).transpose(2, 0, 1)) - radius[:, None] - radius[None]
+        # Bodies are as wide as 2 radius across the heading and .55 of that deep: points along the shoulders.
+        along = np.linspace(-0.45, 0.45, 31)[None, :, None] * radius[:, None, None]
+        across = np.stack([-np.sin(heading[b]), np.cos(heading[b])], axis=1)[:, None]
+        shoulders = pos[:, None] + along * across  # [P, 31, 2]
+        apart = np.hypot(*(shoulders[:, None, :, None] - shoulders[None, :, None]).transpose(4, 0, 1, 2, 3))
+        gap = apart.min(axis=(2, 3)) - 0.55 * (radius[:, None] + radius[None])
         gap[np.diag_indices(len(pos))] = 1.0
         assert gap.min() > -0.05
         assert (pos - radius[:, None] > -0.02).all() and (pos + radius[:, None] < 8.02).all()

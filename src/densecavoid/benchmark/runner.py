@@ -20,6 +20,7 @@ from densecavoid.benchmark.navigators import make_navigator, policy_sha256
 from densecavoid.benchmark.rollout import run_episodes
 from densecavoid.frames import Navigator, require
 from densecavoid.scenarios import make_scenario
+from densecavoid.sim.config import Attitudes, Motion, Pace
 from densecavoid.sim.world import SimConfig, Simulator
 
 TEST_SEEDS_START = 1_000_000_000
@@ -56,7 +57,9 @@ class BenchmarkConfig:
     """Processes. One works in this process, with all cores for the simulator."""
     data: Path | None = None
     """Folder of the recordings, for the scenarios that need them."""
-    people: Literal["scripted", "reactive"] = "scripted"
+    people: Attitudes = "scripted"
+    pace: Pace = "scenario"
+    motion: Motion = "anticipation"
     dynamics: Literal["ideal", "dynamic"] = "ideal"
     sensors: Literal["clean", "real"] = "clean"
     batch_size: int = 16
@@ -74,7 +77,14 @@ class BenchmarkConfig:
 
     def sim_config(self, threads: int) -> SimConfig:
         """The simulator's configuration; `threads` as in SimConfig."""
-        return SimConfig(people=self.people, dynamics=self.dynamics, sensors=self.sensors, threads=threads)
+        return SimConfig(
+            people=self.people,
+            pace=self.pace,
+            motion=self.motion,
+            dynamics=self.dynamics,
+            sensors=self.sensors,
+            threads=threads,
+        )
 
     @property
     def seeds(self) -> range:
@@ -209,6 +219,8 @@ def _cell(
         "navigator": name,
         "scenario": scenario,
         "people": config.people,
+        "pace": config.pace,
+        "motion": config.motion,
         "dynamics": config.dynamics,
         "sensors": config.sensors,
         "privileged": navigator.privileged,

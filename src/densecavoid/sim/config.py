@@ -3,10 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, choose, require
 from densecavoid.sim.noise import SensorNoiseConfig
+
+Motion = Literal["anticipation", "social-force", "orca"]
+Pace = Literal["scenario", "brisk", "rush"]
+Attitudes = Literal["scripted", "reactive", "mixed"]
+MOTIONS, PACES, ATTITUDES = get_args(Motion), get_args(Pace), get_args(Attitudes)
+
+
+@dataclass(frozen=True)
+class AttitudeShares:
+    """How many of a mixed crowd think what of the robot; the shares add up to 1."""
+
+    ignore: float = 0.4
+    """Do not notice it."""
+    makes_way: float = 0.5
+    """Make way for it as for a person."""
+    block: float = 0.1
+    """Are curious: step into its way and stop in front of it, for a while."""
+
+    def __post_init__(self) -> None:
+        for name in ("ignore", "makes_way", "block"):
+            require(0 <= getattr(self, name) <= 1, f"AttitudeShares.{name}", getattr(self, name), "in [0, 1]")
+        total = self.ignore + self.makes_way + self.block
+        require(abs(total - 1.0) < 1e-6, "AttitudeShares' sum", total, "1")
 
 
 @dataclass(frozen=True)
@@ -21,8 +44,16 @@ class SimConfig:
     sensors: Literal["clean", "real"] = "clean"
     """clean: exact sensors. real: with the errors of `noise`, and odometry that drifts."""
     noise: SensorNoiseConfig = field(default_factory=SensorNoiseConfig)
-    people: Literal["scripted", "reactive"] = "scripted"
-    """scripted: nobody notices the robot (the paper's people). reactive: everybody makes way for it."""
+    people: Attitudes = "scripted"
+    """scripted: nobody notices the robot (the paper's people). reactive: everybody makes way for it. mixed: some do,
+    some do not, some stand in its way (`shares`)."""
+    shares: AttitudeShares = field(default_factory=AttitudeShares)
+    """Of a mixed crowd."""
+    pace: Pace = "scenario"
+    """scenario: people's speeds are the scenario's. brisk, rush: everybody's are N(1.0, .2), N(1.34, .26) m/s, clipped
+    to [.15, 1.6]. Recorded people keep theirs."""
+    motion: Motion = "anticipation"
+    """How people make their way: crowds/, one file each."""
     control_dt_s: float = 0.1
     physics_dt_s: float = 0.05
     threads: int = 0
@@ -31,7 +62,9 @@ class SimConfig:
     def __post_init__(self) -> None:
         choose("SimConfig.dynamics", self.dynamics, ("ideal", "dynamic"))
         choose("SimConfig.sensors", self.sensors, ("clean", "real"))
-        choose("SimConfig.people", self.people, ("scripted", "reactive"))
+        choose("SimConfig.people", self.people, ATTITUDES)
+        choose("SimConfig.pace", self.pace, PACES)
+        choose("SimConfig.motion", self.motion, MOTIONS)
         require(0 < self.physics_dt_s <= 0.05, "SimConfig.physics_dt_s", self.physics_dt_s, "in (0, 0.05] s")
         ratio = self.control_dt_s / self.physics_dt_s
         require(

@@ -7,6 +7,10 @@ import math
 import numpy as np
 
 from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim.crowds import anticipation, orca, social_force
+from densecavoid.sim.crowds.attitudes import step_in_the_way
+from densecavoid.sim.crowds.groups import walk_together
+from densecavoid.sim.crowds.neighbours import find_things, look_up, make_scratch, scene_of, see_robot
 from densecavoid.sim.crowds.recorded import follow_recording
 from densecavoid.sim.crowds.scripted import intend_scripted
 from densecavoid.sim.crowds.steering import move_people
@@ -115,20 +119,20 @@ def _appear(state, b, time_s):
 
 
 @inner
-def _move_crowd(state, b, scratch, recordings, meshes, sub_step, replay_reactive, robot_radius, dt):
-    intended, new_vel = scratch[0], scratch[1]
-    intended[:] = 0.0
+def _intend(state, b, recordings, meshes, sub_step, replay_reactive, scratch, robot_radius, dt):
+    """Writes where everybody in world b wants to go; False where people move on rails."""
+    scratch.intended[:] = 0.0
     if state.recording[b] >= 0:
-        follow_recording(state, b, recordings, sub_step, replay_reactive[b], intended, dt)
+        follow_recording(state, b, recordings, sub_step, replay_reactive[b], scratch.intended, dt)
         if not replay_reactive[b]:
-            return
+            return False
     else:
-        intend_scripted(state, b, intended, dt)
+        intend_scripted(state, b, scratch.intended, robot_radius, dt)
+    walk_together(state, b, scratch)
+    step_in_the_way(state, b, scratch.intended, robot_radius, dt)
     if meshes is not None:
-        part_people_from_meshes(state, b, meshes, intended, FORCE_REACH_M)
-    move_people(state, b, intended, new_vel, robot_radius, dt)
-    if meshes is not None:
-        part_people_from_meshes(state, b, meshes, intended, 0.0)
+        part_people_from_meshes(state, b, meshes, scratch.intended, FORCE_REACH_M)
+    return True
 
 
 @inner
@@ -144,63 +148,119 @@ def _at_fault(state, b, slot):
     return False
 
 
+@inner
+def _begin_step(state, b, command, dynamic):
+    """The command that world b carries out in this control step: linear, angular."""
+    state.clearance_m[b], state.clearance_people_m[b] = np.inf, np.inf
+    linear, angular = command[b, 0], command[b, 1]
+    if not dynamic:
+        return linear, angular
+    before = state.pending_command[b, 0], state.pending_command[b, 1]
+    state.pending_command[b, 0], state.pending_command[b, 1] = linear, angular
+    return before
+
+
+@inner
+def _move_robot(state, b, linear, angular, robot, meshes, tick, dt):
+    """One physics step of the robot among people who have just moved; whether the episode has come to its end."""
+    pose, velocity = state.robot_pose[b], state.robot_velocity[b]
+    if robot.dynamic:
+        velocity[0] = limit_change(velocity[0], linear, robot.max_linear_acc * dt)
+        velocity[1] = limit_change(velocity[1], angular, robot.max_angular_acc * dt)
+    else:
+        velocity[0], velocity[1] = linear, angular
+    drive(pose, velocity[0], velocity[1], dt)
+    if state.trigger_distance[b] < np.inf and np.isnan(state.spawn_time[b]):
+        _appear(state, b, tick * dt)
+    place_bodies(state, b)
+    nearest, nearest_person, slot = nearest_surfaces(state, b, pose[0], pose[1], robot.height, meshes)
+    state.clearance_m[b] = min(state.clearance_m[b], nearest)
+    state.clearance_people_m[b] = min(state.clearance_people_m[b], nearest_person)
+    if nearest < state.collision_distance_m[b]:
+        state.collided[b] = True
+        state.collided_person[b] = slot if nearest_person < state.collision_distance_m[b] else -1
+        return True
+    off_x, off_y = state.goal[b, 0] - pose[0], state.goal[b, 1] - pose[1]
+    return off_x * off_x + off_y * off_y < state.goal_distance_m[b] ** 2
+
+
+@inner
+def _end_step(state, b):
+    """Remembers which way the robot moved, and says whose fault a collision was."""
+    trail, yaw = state.trail[b], state.robot_pose[b, 2]
+    for k in range(trail.shape[0] - 1):
+        for part in range(3):
+            trail[k, part] = trail[k + 1, part]
+    trail[-1, 0], trail[-1, 1], trail[-1, 2] = math.cos(yaw), math.sin(yaw), state.robot_velocity[b, 0]
+    if state.collided_person[b] >= 0:
+        state.fault[b] = _at_fault(state, b, state.collided_person[b])
+    state.step_count[b] += 1
+
+
 @kernel
-def advance(
-    first,
-    last,
-    state,
-    recordings,
-    meshes,
-    replay_reactive,
-    command,
-    dynamic,
-    max_linear_acc,
-    max_angular_acc,
-    robot_radius,
-    robot_height,
-    sub_steps,
-    dt,
-):
-    """One control step of `sub_steps` x `dt` s for worlds first to last - 1; ends early at a collision or the goal."""
-    scratch = np.empty((2, state.pos.shape[1], 2))
+def advance(first, last, state, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
+    """One control step of `sub_steps` x `dt` s for worlds first to last - 1; ends early at a collision or the goal.
+
+    One kernel for each motion model, so that only those that are used are compiled.
+    """
+    scratch = make_scratch(state.pos.shape[1])
     for b in range(first, last):
-        if dynamic:
-            linear, angular = state.pending_command[b]
-            state.pending_command[b] = command[b]
-        else:
-            linear, angular = command[b]
-        state.clearance_m[b], state.clearance_people_m[b] = np.inf, np.inf
-        pose, velocity = state.robot_pose[b], state.robot_velocity[b]
-        trail = state.trail[b]
-        nearest_person, slot = np.inf, -1
-        for s in range(sub_steps):
-            tick = state.step_count[b] * sub_steps + s + 1
-            _move_crowd(state, b, scratch, recordings, meshes, tick, replay_reactive, robot_radius, dt)
-            if dynamic:
-                velocity[0] = limit_change(velocity[0], linear, max_linear_acc * dt)
-                velocity[1] = limit_change(velocity[1], angular, max_angular_acc * dt)
-            else:
-                velocity[0], velocity[1] = linear, angular
-            drive(pose, velocity[0], velocity[1], dt)
-            if state.trigger_distance[b] < np.inf and np.isnan(state.spawn_time[b]):
-                _appear(state, b, tick * dt)
-            place_bodies(state, b)
-            nearest, nearest_person, slot = nearest_surfaces(state, b, pose[0], pose[1], robot_height, meshes)
-            state.clearance_m[b] = min(state.clearance_m[b], nearest)
-            state.clearance_people_m[b] = min(state.clearance_people_m[b], nearest_person)
-            if nearest < state.collision_distance_m[b]:
-                state.collided[b] = True
+        linear, angular = _begin_step(state, b, command, robot.dynamic)
+        scene = scene_of(state, b, scratch)
+        for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
+            if _intend(state, b, recordings, meshes, tick, replay_reactive, scratch, robot.radius, dt):
+                see_robot(state, b, scratch, robot.radius)
+                look_up(scene, scratch)
+                find_things(scene, scratch)
+                anticipation.choose_velocities(scene, scratch, dt)
+                move_people(scene, state.phase[b], scratch, dt)
+                if meshes is not None:
+                    part_people_from_meshes(state, b, meshes, scratch.intended, 0.0)
+            if _move_robot(state, b, linear, angular, robot, meshes, tick, dt):
                 break
-            off_x, off_y = state.goal[b, 0] - pose[0], state.goal[b, 1] - pose[1]
-            if off_x * off_x + off_y * off_y < state.goal_distance_m[b] ** 2:
+        _end_step(state, b)
+
+
+@kernel
+def advance_social_force(first, last, state, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
+    """As `advance`, with the people of `crowds/social_force.py`."""
+    scratch = make_scratch(state.pos.shape[1])
+    for b in range(first, last):
+        linear, angular = _begin_step(state, b, command, robot.dynamic)
+        scene = scene_of(state, b, scratch)
+        for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
+            if _intend(state, b, recordings, meshes, tick, replay_reactive, scratch, robot.radius, dt):
+                see_robot(state, b, scratch, robot.radius)
+                look_up(scene, scratch)
+                find_things(scene, scratch)
+                social_force.choose_velocities(scene, scratch, dt)
+                move_people(scene, state.phase[b], scratch, dt)
+                if meshes is not None:
+                    part_people_from_meshes(state, b, meshes, scratch.intended, 0.0)
+            if _move_robot(state, b, linear, angular, robot, meshes, tick, dt):
                 break
-        for k in range(trail.shape[0] - 1):
-            trail[k] = trail[k + 1]
-        trail[-1, 0], trail[-1, 1], trail[-1, 2] = math.cos(pose[2]), math.sin(pose[2]), velocity[0]
-        if state.collided[b] and nearest_person < state.collision_distance_m[b]:
-            state.collided_person[b] = slot
-            state.fault[b] = _at_fault(state, b, slot)
-        state.step_count[b] += 1
+        _end_step(state, b)
+
+
+@kernel
+def advance_orca(first, last, state, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
+    """As `advance`, with the people of `crowds/orca.py`."""
+    scratch = make_scratch(state.pos.shape[1])
+    for b in range(first, last):
+        linear, angular = _begin_step(state, b, command, robot.dynamic)
+        scene = scene_of(state, b, scratch)
+        for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
+            if _intend(state, b, recordings, meshes, tick, replay_reactive, scratch, robot.radius, dt):
+                see_robot(state, b, scratch, robot.radius)
+                look_up(scene, scratch)
+                find_things(scene, scratch)
+                orca.choose_velocities(scene, scratch, dt)
+                move_people(scene, state.phase[b], scratch, dt)
+                if meshes is not None:
+                    part_people_from_meshes(state, b, meshes, scratch.intended, 0.0)
+            if _move_robot(state, b, linear, angular, robot, meshes, tick, dt):
+                break
+        _end_step(state, b)
 
 
 @kernel
@@ -211,7 +271,7 @@ def begin(first, last, state, recordings, meshes, replay_reactive, which, robot_
             continue
         if state.recording[b] >= 0:
             intended = np.zeros((state.pos.shape[1], 2))
-            follow_recording(state, b, recordings, 0, replay_reactive[b], intended, dt)
+            follow_recording(state, b, recordings, state.step_count[b], replay_reactive[b], intended, dt)
         place_bodies(state, b)
         x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
         state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height, meshes)

@@ -19,8 +19,12 @@ LEFT_LEG, RIGHT_LEG, LEFT_TRUNK, RIGHT_TRUNK, LEFT_ARM, RIGHT_ARM, HEAD = range(
 PARTS = 7
 """Cylinders a person; the two halves of the trunk overlap, the neck belongs to the head."""
 
-ABSENT, STANDING, WANDERING, TRAVERSING, RECORDED = range(5)
-"""What a person does: is not there; stands; walks to random places; walks to one and leaves; follows a recording."""
+ABSENT, STANDING, WANDERING, TRAVERSING, RECORDED, CIRCULATING = range(6)
+"""What a person does: is not there; stands; walks to random places; walks to one and leaves; follows a recording; walks
+to one and enters again where they began."""
+
+IGNORE, YIELD, BLOCK = range(3)
+"""What a person thinks of the robot: nothing; makes way for it; is curious, and stops in front of it."""
 
 STEP_OVER_M = 0.2
 """What is no higher (kerbs, ramps, steps) people walk over."""

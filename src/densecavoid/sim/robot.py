@@ -3,8 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from densecavoid.sim._jit import inner
+
+
+class Robot(NamedTuple):
+    """What the kernels know of the robot."""
+
+    dynamic: bool
+    """Whether its wheels have limits and it obeys one control step late."""
+    max_linear_acc: float
+    max_angular_acc: float
+    radius: float
+    height: float
 
 
 @inner

@@ -83,7 +83,9 @@ class Crowd:
             require(len(value) == count, f"Crowd.{name}", f"{len(value)} long", f"{count}, one for each position")
         for name in ("pos", "goal", "preferred_speed", "radius_m", "height_m"):
             require(bool(np.isfinite(getattr(self, name)).all()), f"Crowd.{name}", getattr(self, name), "finite")
-        require(bool((self.radius_m > 0.1).all()), "Crowd.radius_m", self.radius_m, "above 0.1 m")
+        wide = bool(((self.radius_m > 0.1) & (self.radius_m <= 0.45)).all())
+        require(wide, "Crowd.radius_m", self.radius_m, "above 0.1 m, at most 0.45 m")
+        require(bool((self.preferred_speed >= 0).all()), "Crowd.preferred_speed", self.preferred_speed, "0 or more")
 
     @property
     def size(self) -> int:

@@ -55,7 +55,10 @@ class WorldState(NamedTuple):
     behaviour: np.ndarray  # i8 [B, P]
     person_id: np.ndarray  # i32 [B, P]
     group: np.ndarray  # i16 [B, P] who walks or stands together; -1: alone
-    notices_robot: np.ndarray  # bool [B, P]
+    attitude: np.ndarray  # i8 [B, P] towards the robot: ignores it, yields, blocks its way
+    curious_s: np.ndarray  # f64 [B, P] for how long one who blocks the robot's way will still do so
+    entrance: np.ndarray  # f64 [B, P, 2] where a circulating person enters; NaN for others
+    next_id: np.ndarray  # i32 [B] person_id of who enters next
     wander_area: np.ndarray  # f64 [B, 4]
     change_rate: np.ndarray  # f64 [B] changes of mind a second
     net_places: np.ndarray  # f32 [B, NET_PLACES, 3] x, y, spread
@@ -128,7 +131,10 @@ def allocate(
         behaviour=whole(np.int8, p),
         person_id=whole(np.int32, p) - 1,
         group=whole(np.int16, p) - 1,
-        notices_robot=whole(np.bool_, p),
+        attitude=whole(np.int8, p),
+        curious_s=real(p),
+        entrance=real(p, 2) + np.nan,
+        next_id=whole(np.int32),
         wander_area=real(4),
         change_rate=real(),
         net_places=whole(np.float32, NET_PLACES, 3),

@@ -10,16 +10,24 @@ from densecavoid.sim import kernels
 from densecavoid.sim._jit import for_worlds
 from densecavoid.sim.clearance import check_can_begin
 from densecavoid.sim.config import SimConfig
+from densecavoid.sim.crowds.placing import place_crowd
 from densecavoid.sim.crowds.recorded import Recordings, no_recordings
 from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.images import Images, take_images
 from densecavoid.sim.materials import MATERIALS
 from densecavoid.sim.mesh import Mesh, MeshSet, mesh_set, place_rows
-from densecavoid.sim.people import ABSENT, PARTS, STANDING
+from densecavoid.sim.people import ABSENT, PARTS
+from densecavoid.sim.robot import Robot
 from densecavoid.sim.sensors import SensorSuite
 from densecavoid.sim.spec import Scenario, WorldSpec
 from densecavoid.sim.state import WorldState, allocate, capacity, with_room
+
+_ADVANCE = {
+    "anticipation": kernels.advance,
+    "social-force": kernels.advance_social_force,
+    "orca": kernels.advance_orca,
+}
 
 
 class Simulator:
@@ -47,6 +55,14 @@ class Simulator:
         self._meshes: MeshSet | None = None
         self._replay_reactive = np.zeros(num_worlds, np.bool_)
         self._sensors = SensorSuite(self.config, num_worlds)
+        robot = self.config.robot
+        self._robot = Robot(
+            self.config.dynamics == "dynamic",
+            float(robot.max_linear_acceleration),
+            float(robot.max_angular_acceleration),
+            float(robot.radius_m),
+            float(robot.height_m),
+        )
 
     # -- the episode ---------------------------------------------------------------------------------------------------
 
@@ -86,19 +102,10 @@ class Simulator:
         require(bool(np.isfinite(velocities).all()), "command", velocities, "finite velocities")
         velocities[:, 0] = np.clip(velocities[:, 0], 0.0, robot.max_linear_velocity)
         velocities[:, 1] = np.clip(velocities[:, 1], -robot.max_angular_velocity, robot.max_angular_velocity)
+        advance = _ADVANCE[self.config.motion]
+        sub_steps, dt = self.config.sub_steps, self.config.physics_dt_s
         self._run(
-            kernels.advance,
-            self._recordings,
-            self._meshes,
-            self._replay_reactive,
-            velocities,
-            self.config.dynamics == "dynamic",
-            robot.max_linear_acceleration,
-            robot.max_angular_acceleration,
-            robot.radius_m,
-            robot.height_m,
-            self.config.sub_steps,
-            self.config.physics_dt_s,
+            advance, self._recordings, self._meshes, self._replay_reactive, velocities, self._robot, sub_steps, dt
         )
 
     def sense(self, which: Bool[np.ndarray, "B"] | None = None) -> SensorFrame:
@@ -338,38 +345,6 @@ class Simulator:
         state.num_meshes[b] = len(places)
         state.meshes[b, : len(places)] = place_rows(places, [self._mesh_number(place.mesh) for place in places])
 
-        waits = spec.appearance is not None
-        state.behaviour[b] = ABSENT
-        state.person_id[b] = -1
-        there = slice(0, crowd.size)
-        state.pos[b, there], state.person_goal[b, there] = crowd.pos, crowd.goal
-        state.vel[b] = 0.0
-        heading = crowd.heading_rad
-        if heading is None:
-            heading = np.arctan2(crowd.goal[:, 1] - crowd.pos[:, 1], crowd.goal[:, 0] - crowd.pos[:, 0])
-        speed = np.where(crowd.behaviour == STANDING, 0.0, crowd.preferred_speed)
-        state.heading[b, there] = heading
-        state.vel[b, there] = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        state.preferred_speed[b, there] = crowd.preferred_speed
-        state.radius[b, there], state.height[b, there] = crowd.radius_m, crowd.height_m
-        state.phase[b, there] = rng.uniform(0.0, 2 * np.pi, crowd.size)
-        state.person_id[b, there] = np.arange(crowd.size)
-        state.group[b] = -1
-        if crowd.group is not None:
-            state.group[b, there] = crowd.group
-        if not waits:
-            state.behaviour[b, there] = crowd.behaviour
-        state.notices_robot[b] = self.config.people == "reactive"
-        state.wander_area[b] = crowd.wander_area
-        state.change_rate[b] = crowd.changes_of_mind_per_s
-        state.leg[b] = -1
-        if crowd.net is not None and crowd.leg is not None:
-            state.net_links[b] = -1
-            state.net_places[b, : len(crowd.net.places)] = crowd.net.places
-            state.net_links[b, : len(crowd.net.places), : crowd.net.links.shape[1]] = crowd.net.links
-            state.leg[b, there] = crowd.leg
-        state.random[b] = rng.integers(2**63, dtype=np.uint64)
-
         state.trigger_distance[b] = spec.appearance.trigger_distance_m if spec.appearance else np.inf
         state.appear_distance[b] = spec.appearance.distance_m if spec.appearance else 0.0
         state.spawn_time[b] = state.spawn_line_x[b] = np.nan
@@ -377,11 +352,12 @@ class Simulator:
         state.recording[b] = -1
         self._replay_reactive[b] = False
         if spec.replay is not None:
-            reactive = spec.replay.reactive or self.config.people == "reactive"
+            reactive = spec.replay.reactive or self.config.people != "scripted"
             self._replay_reactive[b] = reactive
-            state.notices_robot[b] = reactive
             state.recording[b] = self._recording_index(spec.replay.recording)
             state.recording_step[b] = round(spec.replay.start_s / self.config.physics_dt_s)
+        reactive = bool(self._replay_reactive[b])
+        place_crowd(state, b, crowd, self.config, reactive, spec.appearance is not None, rng)
 
     def _mesh_number(self, mesh: Mesh) -> int:
         """The mesh's place in the simulator's set, into which it is taken at first sight."""

@@ -11,6 +11,7 @@ from densecavoid.benchmark.metrics import EpisodeMetrics, episode_metrics
 from densecavoid.benchmark.navigators import make_navigator
 from densecavoid.frames import require
 from densecavoid.scenarios import make_scenario
+from densecavoid.sim.config import Attitudes, Motion, Pace
 from densecavoid.sim.world import SimConfig, Simulator
 from densecavoid.viz.film import film_episode
 from densecavoid.viz.pictures import save_episode_picture
@@ -32,8 +33,12 @@ class RunConfig:
     """Folder of the recordings, for `hermes` scenarios; else the environment variable DENSECAVOID_DATA."""
     film: Literal["gif", "mp4"] = "gif"
     """Kind of film."""
-    people: Literal["scripted", "reactive"] = "scripted"
-    """Whether people make way for the robot."""
+    people: Attitudes = "scripted"
+    """Whether people make way for the robot; mixed: some do, some do not, some stand in its way."""
+    pace: Pace = "scenario"
+    """Whether people walk at the scenario's speeds, or everyone briskly, or in a rush."""
+    motion: Motion = "anticipation"
+    """How people make their way."""
     dynamics: Literal["ideal", "dynamic"] = "ideal"
     """Whether commands take effect at once, or with the base's limits and delay."""
     sensors: Literal["clean", "real"] = "clean"
@@ -54,7 +59,13 @@ def run(config: RunConfig) -> EpisodeMetrics:
         ValueError: for an unknown scenario or navigator, or a malformed recording.
         OSError: if a file cannot be read or written.
     """
-    sim_config = SimConfig(people=config.people, dynamics=config.dynamics, sensors=config.sensors)
+    sim_config = SimConfig(
+        people=config.people,
+        pace=config.pace,
+        motion=config.motion,
+        dynamics=config.dynamics,
+        sensors=config.sensors,
+    )
     navigator = make_navigator(config.navigator, sim_config.robot)
     simulator = Simulator(make_scenario(config.scenario, config.data), 1, sim_config)
     config.out.mkdir(parents=True, exist_ok=True)

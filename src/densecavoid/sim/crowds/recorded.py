@@ -93,4 +93,4 @@ def follow_recording(state, b, recordings, sub_step, reactive, intended, dt):
             intended[i, 0] = vx + (x - state.pos[b, i, 0]) / _RETURN_S
             intended[i, 1] = vy + (y - state.pos[b, i, 1]) / _RETURN_S
         else:
-            walk(state, b, i, dt)
+            state.heading[b, i], state.phase[b, i] = walk(vx, vy, state.heading[b, i], state.phase[b, i], 0.0, dt)

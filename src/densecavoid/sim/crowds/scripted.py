@@ -1,4 +1,4 @@
-"""The paper's people: they walk to places of their own and do not think of the robot (unless told to notice it)."""
+"""Where the paper's people want to go: to places of their own, without a thought of anybody."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from densecavoid.sim._jit import inner, kernel
-from densecavoid.sim.people import ABSENT, TRAVERSING, WANDERING
+from densecavoid.sim.people import ABSENT, CIRCULATING, TRAVERSING, WANDERING
 
 _ARRIVED_M = 0.4
+_ROOM_TO_ENTER_M = 0.1  # between bodies, when somebody enters
 
 
 @kernel
@@ -49,16 +50,40 @@ def _next_leg(state, b, i, arrived):
 
 
 @inner
-def intend_scripted(state, b, intended, dt):
-    """Writes where wanderers and traversers of world b want to go, as velocities [P, 2]."""
+def _enter_again(state, b, i, robot_radius):
+    """Lets person i, who has left, enter where they once began, if there is room: another person, for all who watch."""
+    x, y, radius = state.entrance[b, i, 0], state.entrance[b, i, 1], state.radius[b, i]
+    for j in range(-1, state.pos.shape[1]):
+        if j < 0:
+            off_x, off_y, reach = state.robot_pose[b, 0] - x, state.robot_pose[b, 1] - y, 2.0 * robot_radius
+        else:
+            off_x, off_y, reach = state.pos[b, j, 0] - x, state.pos[b, j, 1] - y, state.radius[b, j]
+        reach += radius + _ROOM_TO_ENTER_M
+        if off_x * off_x + off_y * off_y < reach * reach and (j < 0 or state.behaviour[b, j] != ABSENT):
+            return
+    heading = math.atan2(state.person_goal[b, i, 1] - y, state.person_goal[b, i, 0] - x)
+    state.pos[b, i, 0], state.pos[b, i, 1], state.heading[b, i] = x, y, heading
+    state.vel[b, i, 0] = state.preferred_speed[b, i] * math.cos(heading)
+    state.vel[b, i, 1] = state.preferred_speed[b, i] * math.sin(heading)
+    state.behaviour[b, i] = CIRCULATING
+    state.person_id[b, i] = state.next_id[b]
+    state.next_id[b] += 1
+
+
+@inner
+def intend_scripted(state, b, intended, robot_radius, dt):
+    """Writes where the people of world b who walk by themselves want to go, as velocities [P, 2]."""
     for i in range(state.pos.shape[1]):
         behaviour = state.behaviour[b, i]
-        if behaviour != WANDERING and behaviour != TRAVERSING:
+        if behaviour == ABSENT and not np.isnan(state.entrance[b, i, 0]):
+            _enter_again(state, b, i, robot_radius)
+            behaviour = state.behaviour[b, i]
+        if behaviour != WANDERING and behaviour != TRAVERSING and behaviour != CIRCULATING:
             continue
         off_x = state.person_goal[b, i, 0] - state.pos[b, i, 0]
         off_y = state.person_goal[b, i, 1] - state.pos[b, i, 1]
         distance = math.sqrt(off_x * off_x + off_y * off_y)
-        if behaviour == TRAVERSING and distance < _ARRIVED_M:
+        if behaviour != WANDERING and distance < _ARRIVED_M:
             state.behaviour[b, i] = ABSENT
             continue
         if behaviour == WANDERING and (distance < _ARRIVED_M or uniform(state.random, b) < state.change_rate[b] * dt):
