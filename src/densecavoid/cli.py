@@ -10,15 +10,12 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
-from densecavoid.sim import kernels_are_compiled
-
 
 def _run(args: Sequence[str]) -> None:
     """one robot, one scenario: a film, episode.json and a line of result"""
     from densecavoid.viz.run import RunConfig, one_line, run
 
     config = tyro.cli(RunConfig, prog="densecavoid run", args=args)
-    _announce_compilation()
     metrics = run(config)
     print(f"{config.navigator} in {config.scenario} (seed {config.seed}): {one_line(metrics)} -> {config.film_path}")
 
@@ -29,7 +26,6 @@ def _benchmark(args: Sequence[str]) -> None:
     from densecavoid.benchmark.runner import BenchmarkConfig, run_benchmark
 
     config = tyro.cli(BenchmarkConfig, prog="densecavoid benchmark", args=args)
-    _announce_compilation()
     write_report(run_benchmark(config), config.out)
     print(f"{config.out / 'tables.md'}\n{config.out / 'success.png'}\n{config.out / 'results.json'}")
 
@@ -58,21 +54,14 @@ def _train(args: Sequence[str]) -> None:
     if "--resume" in args:
         rest = [arg for arg in args if arg != "--resume"]
         again = tyro.cli(ResumeConfig, prog="densecavoid train --resume", args=rest)
-        _announce_compilation()
         result = resume(again.run_dir, again.total_steps, again.max_minutes, again.threads)
     else:
         config = tyro.cli(TrainConfig, prog="densecavoid train", args=args)
-        _announce_compilation()
         result = train(config)
     print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
 VERBS: dict[str, Callable[[Sequence[str]], None]] = {"run": _run, "train": _train, "benchmark": _benchmark}
-
-
-def _announce_compilation() -> None:
-    if not kernels_are_compiled():
-        print("Compiling the simulator for this machine, once: about 20 s.", file=sys.stderr, flush=True)
 
 
 def _usage() -> str:

@@ -26,9 +26,12 @@ def draw_prediction(image, tracks, b, pose, linear, angular, horizon_s, focal_x,
         horizon_s: how far ahead.
     """
     rows, width = image.shape
-    image[:, :] = FREE
+    for v in range(rows):
+        for u in range(width):
+            image[v, u] = FREE
     then = np.empty(3)
-    then[:] = pose
+    for axis in range(3):
+        then[axis] = pose[axis]
     drive(then, linear, angular, horizon_s)
     cos, sin = math.cos(then[2]), math.sin(then[2])
     for t in range(tracks.hits.shape[1]):

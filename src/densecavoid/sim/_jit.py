@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import itertools
+import multiprocessing
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -28,6 +32,8 @@ def _cache_folder() -> Path:
     return Path(base) / "densecavoid" / f"kernels-{source.hexdigest()[:16]}"
 
 
+_HELPER = "DENSECAVOID_COMPILES_SENSORS"
+
 if not os.environ.get("NUMBA_CACHE_DIR"):
     numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
@@ -36,6 +42,20 @@ def kernels_are_compiled() -> bool:
     """Whether an earlier process has compiled kernels of this version; the first use takes some seconds otherwise."""
     folder = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
     return folder.is_dir() and any(folder.rglob("kernels.advance*.nbc"))
+
+
+@cache
+def share_compilation() -> None:
+    """At the very first use, says that compiling takes a while, and lets a second process compile what sensors and
+    perception need while this one compiles how worlds move. It finds the result in the cache."""
+    if kernels_are_compiled() or multiprocessing.parent_process() is not None or os.environ.get(_HELPER):
+        return
+    print("densecavoid: compiling for this machine, once: about 20 s.", file=sys.stderr, flush=True)
+    if available_threads() > 1:
+        command, nobody = [sys.executable, "-m", "densecavoid.compile_sensors"], subprocess.DEVNULL
+        environment = os.environ | {_HELPER: "1", "NUMBA_CACHE_DIR": numba.config.CACHE_DIR}  # type: ignore[attr-defined]
+        helper = subprocess.Popen(command, env=environment, stdin=nobody, stdout=nobody, stderr=nobody)
+        atexit.register(helper.kill)
 
 
 # NaN and infinity keep their meaning: rays that meet nothing are infinite, pixels without depth are NaN.
@@ -49,7 +69,8 @@ _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
 }
-_INNER_OPTIONS: dict[str, Any] = _OPTIONS | {"no_cpython_wrapper": True, "forceinline": True, "_nrt": False}
+_VIEW_OPTIONS: dict[str, Any] = _OPTIONS | {"no_cpython_wrapper": True}
+_INNER_OPTIONS: dict[str, Any] = _VIEW_OPTIONS | {"forceinline": True, "_nrt": False}
 
 
 def kernel(function: Callable) -> Callable:
@@ -65,6 +86,11 @@ def inner(function: Callable) -> Callable:
     whole `WorldState` takes long too.
     """
     return numba.njit(**_INNER_OPTIONS)(function)
+
+
+def views(function: Callable) -> Callable:
+    """As `inner`, for functions that give out rows of arrays, which must be counted."""
+    return numba.njit(**_VIEW_OPTIONS)(function)
 
 
 @cache

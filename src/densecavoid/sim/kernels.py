@@ -63,7 +63,7 @@ def place_bodies(state, b):
             _place(state, b, i)
 
 
-@kernel
+@inner
 def nearest_surfaces(state, b, x, y, top, meshes):
     """Distances from a point to the nearest surface that begins below `top`, and to the nearest person's.
 
@@ -149,6 +149,16 @@ def _at_fault(state, b, slot):
 
 
 @inner
+def _begin(state, b, recordings, meshes, replay_reactive, scratch, robot, dt):
+    """Brings world b, which was just filled, to its first instant: recorded people in place, bodies, clearances."""
+    if state.recording[b] >= 0:
+        follow_recording(state, b, recordings, 0 * state.step_count[b], replay_reactive[b], scratch.intended, dt)
+    place_bodies(state, b)
+    x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
+    state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot.height, meshes)
+
+
+@inner
 def _begin_step(state, b, command, dynamic):
     """The command that world b carries out in this control step: linear, angular."""
     state.clearance_m[b], state.clearance_people_m[b] = np.inf, np.inf
@@ -198,13 +208,20 @@ def _end_step(state, b):
 
 
 @kernel
-def advance(first, last, state, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
-    """One control step of `sub_steps` x `dt` s for worlds first to last - 1; ends early at a collision or the goal.
+def advance(first, last, state, which, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
+    """One control step of `sub_steps` x `dt` s for the marked worlds; ends early at a collision or the goal.
 
-    One kernel for each motion model, so that only those that are used are compiled.
+    Without any `sub_steps` worlds that were just filled are brought to their first instant. It is the same kernel
+    because a second one, which shares half of the work, would have to be compiled too; and one for each motion model,
+    so that only those that are used are compiled.
     """
     scratch = make_scratch(state.pos.shape[1])
     for b in range(first, last):
+        if not which[b]:
+            continue
+        if sub_steps == 0:
+            _begin(state, b, recordings, meshes, replay_reactive, scratch, robot, dt)
+            continue
         linear, angular = _begin_step(state, b, command, robot.dynamic)
         scene = scene_of(state, b, scratch)
         for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
@@ -222,10 +239,15 @@ def advance(first, last, state, recordings, meshes, replay_reactive, command, ro
 
 
 @kernel
-def advance_social_force(first, last, state, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
+def advance_social_force(first, last, state, which, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
     """As `advance`, with the people of `crowds/social_force.py`."""
     scratch = make_scratch(state.pos.shape[1])
     for b in range(first, last):
+        if not which[b]:
+            continue
+        if sub_steps == 0:
+            _begin(state, b, recordings, meshes, replay_reactive, scratch, robot, dt)
+            continue
         linear, angular = _begin_step(state, b, command, robot.dynamic)
         scene = scene_of(state, b, scratch)
         for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
@@ -243,10 +265,15 @@ def advance_social_force(first, last, state, recordings, meshes, replay_reactive
 
 
 @kernel
-def advance_orca(first, last, state, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
+def advance_orca(first, last, state, which, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
     """As `advance`, with the people of `crowds/orca.py`."""
     scratch = make_scratch(state.pos.shape[1])
     for b in range(first, last):
+        if not which[b]:
+            continue
+        if sub_steps == 0:
+            _begin(state, b, recordings, meshes, replay_reactive, scratch, robot, dt)
+            continue
         linear, angular = _begin_step(state, b, command, robot.dynamic)
         scene = scene_of(state, b, scratch)
         for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
@@ -264,17 +291,10 @@ def advance_orca(first, last, state, recordings, meshes, replay_reactive, comman
 
 
 @kernel
-def begin(first, last, state, recordings, meshes, replay_reactive, which, robot_height, dt):
-    """Brings worlds that were just filled to their first instant: recorded people in place, bodies, clearances."""
-    for b in range(first, last):
-        if not which[b]:
-            continue
-        if state.recording[b] >= 0:
-            intended = np.zeros((state.pos.shape[1], 2))
-            follow_recording(state, b, recordings, state.step_count[b], replay_reactive[b], intended, dt)
-        place_bodies(state, b)
-        x, y = state.robot_pose[b, 0], state.robot_pose[b, 1]
-        state.clearance_m[b], state.clearance_people_m[b], _ = nearest_surfaces(state, b, x, y, robot_height, meshes)
+def surfaces_at(state, b, points, top, meshes, distances):
+    """Distances from points [N, 2] to the nearest surface in world b that begins below `top`, into `distances` [N]."""
+    for n in range(points.shape[0]):
+        distances[n], _, _ = nearest_surfaces(state, b, points[n, 0], points[n, 1], top, meshes)
 
 
 @inner

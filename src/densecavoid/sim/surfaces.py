@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim._jit import inner, views
 from densecavoid.sim.geometry import (
     BOX_COS,
     BOX_HALF_LENGTH,
@@ -75,7 +75,7 @@ class Solids(NamedTuple):
     meshes: MeshSet | None
 
 
-@kernel
+@views
 def solids_of(state, b, meshes):
     """The solids of world b, and the set its meshes are from, or None."""
     return Solids(

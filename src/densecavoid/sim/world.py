@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from densecavoid.frames import CameraConfig, Command, People, SensorFrame, Truth, require
 from densecavoid.sim import kernels
-from densecavoid.sim._jit import for_worlds
+from densecavoid.sim._jit import for_worlds, share_compilation
 from densecavoid.sim.clearance import check_can_begin
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds.placing import place_crowd
@@ -44,6 +44,7 @@ class Simulator:
             ValueError: if `num_worlds` is not positive.
         """
         require(num_worlds >= 1, "num_worlds", num_worlds, "at least 1")
+        share_compilation()
         self.scenario = scenario
         self.num_worlds = num_worlds
         self.config = config or SimConfig()
@@ -80,15 +81,7 @@ class Simulator:
             rng = np.random.default_rng(int(seeds[b]))
             self._fill(int(b), self._spawn(rng), rng)
         self._sensors.reset(seeds, which)
-        self._run(
-            kernels.begin,
-            self._recordings,
-            self._meshes,
-            self._replay_reactive,
-            which,
-            self.config.robot.height_m,
-            self.config.physics_dt_s,
-        )
+        self._advance(which, np.zeros((self.num_worlds, 2)), 0)
 
     def step(self, command: Command) -> None:
         """Carries out a command for one control step. Velocities are limited to the robot's.
@@ -102,11 +95,7 @@ class Simulator:
         require(bool(np.isfinite(velocities).all()), "command", velocities, "finite velocities")
         velocities[:, 0] = np.clip(velocities[:, 0], 0.0, robot.max_linear_velocity)
         velocities[:, 1] = np.clip(velocities[:, 1], -robot.max_angular_velocity, robot.max_angular_velocity)
-        advance = _ADVANCE[self.config.motion]
-        sub_steps, dt = self.config.sub_steps, self.config.physics_dt_s
-        self._run(
-            advance, self._recordings, self._meshes, self._replay_reactive, velocities, self._robot, sub_steps, dt
-        )
+        self._advance(np.ones(self.num_worlds, np.bool_), velocities, self.config.sub_steps)
 
     def sense(self, which: Bool[np.ndarray, "B"] | None = None) -> SensorFrame:
         """What the sensors give now. Worlds not marked in `which` keep their last scan and image.
@@ -261,9 +250,10 @@ class Simulator:
 
     def nearest_surface_m(self, b: int, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
         """Distance from each point to the nearest surface in world b that the robot could hit."""
-        top = self.config.robot.height_m
-        meshes = self._meshes
-        return np.array([kernels.nearest_surfaces(self._state, b, x, y, top, meshes)[0] for x, y in points])
+        distances = np.empty(len(points))
+        points = np.asarray(points, np.float64)
+        kernels.surfaces_at(self._state, b, points, self.config.robot.height_m, self._meshes, distances)
+        return distances
 
     @property
     def bytes_per_world(self) -> int:
@@ -300,8 +290,21 @@ class Simulator:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _run(self, function, *args: object) -> None:
-        for_worlds(function, self.num_worlds, self.config.threads, self._state, *args)
+    def _advance(self, which: Bool[np.ndarray, "B"], velocities: Float[np.ndarray, "B 2"], sub_steps: int) -> None:
+        for_worlds(
+            _ADVANCE[self.config.motion],
+            self.num_worlds,
+            self.config.threads,
+            self._state,
+            which,
+            self._recordings,
+            self._meshes,
+            self._replay_reactive,
+            velocities,
+            self._robot,
+            sub_steps,
+            self.config.physics_dt_s,
+        )
 
     def _spawn(self, rng: np.random.Generator) -> WorldSpec:
         try:

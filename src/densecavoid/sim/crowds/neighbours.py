@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim._jit import inner, kernel, views
 from densecavoid.sim.geometry import (
     BOX_COS,
     BOX_HALF_LENGTH,
@@ -91,7 +91,7 @@ class Scratch(NamedTuple):
     robot: np.ndarray  # f64 [5] x, y, velocity x, y, radius
 
 
-@kernel
+@views
 def make_scratch(num_people):
     """Room for so many people."""
     return Scratch(
@@ -115,7 +115,7 @@ def make_scratch(num_people):
     )
 
 
-@kernel
+@views
 def scene_of(state, b, scratch):
     """World b as its people see it: views, so that it stays true while they move."""
     return Scene(
