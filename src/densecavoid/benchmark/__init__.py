@@ -1,8 +1,10 @@
-"""How well navigators do: episodes, the figures of BENCHMARK.md, statistics and reports. Knows navigators by name."""
+"""How well navigators do: episodes, the figures of BENCHMARK.md, statistics and reports. Knows navigators by name.
+
+Reports are in `benchmark.report`, which alone needs matplotlib.
+"""
 
 from densecavoid.benchmark.episode import Episode
 from densecavoid.benchmark.navigators import make_navigator, navigator_names
-from densecavoid.benchmark.report import write_report
 from densecavoid.benchmark.rollout import run_episodes
 from densecavoid.benchmark.runner import BenchmarkConfig, run_benchmark
 
@@ -13,5 +15,4 @@ __all__ = [
     "navigator_names",
     "run_benchmark",
     "run_episodes",
-    "write_report",
 ]

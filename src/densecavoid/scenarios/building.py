@@ -11,7 +11,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.ndimage import label
 
 from densecavoid.frames import choose, require
 from densecavoid.scenarios.free_space import Area, Ground, clear_path, clearance_grid_m
@@ -163,6 +162,8 @@ class Building:
     @cached_property
     def _regions(self) -> tuple[Int[np.ndarray, "X Y"], float]:
         """Regions of cells between which the robot can get about, by number (0: none), and the cells' size."""
+        from scipy.ndimage import label  # here, because it takes a tenth of a second that few worlds need
+
         size = (self.area[2] - self.area[0]) * (self.area[3] - self.area[1])
         cell_m = max(_CELL_M, math.sqrt(size / _REGION_CELLS))
         # As far as a way may be from the nearest cell's centre, so that no narrow door is lost.

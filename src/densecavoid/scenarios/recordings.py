@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
-from scipy import interpolate, signal
 
 from densecavoid.frames import choose, require
 from densecavoid.scenarios.track_files import Tracks, read_hermes, read_tracks
 from densecavoid.sim.crowds.recording import Recording
 from densecavoid.sim.people import sample_bodies
+
+# scipy's parts are imported where they are used: together they take half a second, which only recordings need.
 
 DATA_VARIABLE = "DENSECAVOID_DATA"
 SWAY_CUTOFF_HZ = 0.55
@@ -124,6 +125,8 @@ def remove_sway(
     """
     num = len(pos)
     line = pos[0] + (pos[-1] - pos[0]) * np.linspace(0, 1, num)[:, None]
+    from scipy import signal
+
     low_pass = signal.butter(SWAY_FILTER_ORDER, cutoff_hz, fs=rate_hz, output="sos")
     padding = min(round(SWAY_PAD_S * rate_hz), num - 1)
     return line + signal.sosfiltfilt(low_pass, pos - line, axis=0, padtype="odd", padlen=padding)
@@ -213,6 +216,8 @@ def _states(
     tracks: Tracks, rows: slice, query_s: Float64[np.ndarray, "steps"], sway_cutoff_hz: float | None
 ) -> Float64[np.ndarray, "steps 4"]:
     """Place and velocity of one visit at the times asked for."""
+    from scipy import interpolate
+
     time_s, pos = tracks.time_s[rows], tracks.pos_w[rows]
     query_s = np.clip(query_s, time_s[0], time_s[-1])
     if sway_cutoff_hz is None:

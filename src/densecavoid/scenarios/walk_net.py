@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.ndimage import label
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -33,6 +32,8 @@ class _Cells:
     def __init__(
         self, plan: FloorPlan, area: Area, cell_m: float, near: tuple[float, float], ground: Ground | None
     ) -> None:
+        from scipy.ndimage import label  # here, because it takes a tenth of a second that few worlds need
+
         self.origin, self.cell_m = np.array(area[:2]), cell_m
         self.clearance = clearance_grid_m(plan, area, cell_m, _ROOMY_M, FOR_PEOPLE)
         # The middle of a narrow door may lie half a cell from the nearest centre; `_centred` finds it again.
