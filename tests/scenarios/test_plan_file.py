@@ -205,3 +205,25 @@ def test_the_example_office_runs_and_its_people_reach_every_room():
         inside = (net.places[:, 0] > x0) & (net.places[:, 0] < x1) & (net.places[:, 1] > y0) & (net.places[:, 1] < y1)
         assert inside.any()
     assert simulator.bytes_per_world <= 64 * 1024
+
+
+def test_a_mesh_from_a_file_stands_where_the_plan_says(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((1000.0, 600.0, 500.0)).export(tmp_path / "crate.stl")
+    (tmp_path / "hall.toml").write_text(
+        """
+        [[room]]
+        area = [0.0, 0.0, 8.0, 6.0]
+        [[mesh]]
+        file = "crate.stl"
+        at = [4.0, 3.0]
+        z = 0.25
+        scale = 0.001
+        """
+    )
+    spec = read_plan(tmp_path / "hall.toml").spawn(np.random.default_rng(0))
+    points = np.array([[4.0, 2.0], [2.5, 3.0]])
+    np.testing.assert_allclose(clearances_m(spec.floor_plan, points), [0.7, 1.0], atol=1e-5)
+    (tmp_path / "hall.toml").write_text('[[mesh]]\nfile = "none.stl"\nat = [0.0, 0.0]\n')
+    with pytest.raises(ValueError, match=r"hall.toml: mesh 1: mesh file is '.*none.stl', expected a file that exists"):
+        read_plan(tmp_path / "hall.toml")

@@ -13,8 +13,10 @@ from densecavoid.scenarios.ros_map import RosMap, read_ros_map
 from densecavoid.sim.floorplan import WALL_HEIGHT_M, WALL_THICKNESS_M, FloorPlan
 from densecavoid.sim.furniture import PIECES, kerb, place, ramp
 from densecavoid.sim.materials import MATERIALS
+from densecavoid.sim.mesh import load_mesh
 
 _MATERIALS = tuple(material.name for material in MATERIALS)
+_SOLID = tuple(material.name for material in MATERIALS if not material.see_through)
 _MISSING: Any = object()
 
 
@@ -57,6 +59,18 @@ class _Table:
 
     def length(self, key: str, default: Any = _MISSING) -> float:
         return self.number(key, default, low=1e-3, high=1e4)
+
+    def text(self, key: str) -> str:
+        value = self.take(key)
+        if not isinstance(value, str) or not value:
+            raise self.wrong(key, value, "text")
+        return value
+
+    def flag(self, key: str, default: Any = _MISSING) -> bool:
+        value = self.take(key, default)
+        if not isinstance(value, bool):
+            raise self.wrong(key, value, "true or false")
+        return value
 
     def whole(self, key: str, default: Any = _MISSING) -> int:
         value = self.take(key, default)
@@ -123,6 +137,7 @@ def read_plan(path: Path) -> Building:
         plan.wall(*wall.line, wall.thickness, wall.material, wall.doors)
     for adder in (_boxes, _pillars, _furniture, _low):
         adder(top, plan)
+    _meshes(top, plan, path.parent)
     start, goal = _spot(top, "start", with_yaw=True), _spot(top, "goal", with_yaw=False)
     distance = top.numbers("distance", "least, most", (4.0, 25.0))
     if not 0 < distance[0] < distance[1]:
@@ -205,14 +220,13 @@ def _boxes(top: _Table, plan: FloorPlan) -> None:
 
 
 def _pillars(top: _Table, plan: FloorPlan) -> None:
-    solid = tuple(material.name for material in MATERIALS if not material.see_through)
     for pillar in top.tables("pillar"):
         x, y = pillar.numbers("at", "x, y")
         radius = pillar.length("radius")
         z_min, z_max = pillar.numbers("z", "bottom, top", (0.0, WALL_HEIGHT_M))
         if not 0 <= z_min < z_max:
             raise pillar.wrong("z", [z_min, z_max], "bottom below top")
-        plan.pillar(x, y, radius, z_min, z_max, pillar.choice("material", solid, "concrete"))
+        plan.pillar(x, y, radius, z_min, z_max, pillar.choice("material", _SOLID, "concrete"))
         pillar.done()
 
 
@@ -220,6 +234,20 @@ def _furniture(top: _Table, plan: FloorPlan) -> None:
     for piece in top.tables("furniture"):
         kind, (x, y) = piece.choice("kind", tuple(PIECES)), piece.numbers("at", "x, y")
         place(plan, kind, x, y, math.radians(piece.number("yaw_deg", 0.0)))
+        piece.done()
+
+
+def _meshes(top: _Table, plan: FloorPlan, folder: Path) -> None:
+    for piece in top.tables("mesh"):
+        file, (x, y) = piece.text("file"), piece.numbers("at", "x, y")
+        scale, up = piece.length("scale", 1.0), piece.choice("up", ("z", "y"), "z")
+        allow_open, material = piece.flag("allow_open", False), piece.choice("material", _SOLID, "wood")
+        yaw, z = math.radians(piece.number("yaw_deg", 0.0)), piece.number("z", 0.0)
+        try:
+            mesh = load_mesh(folder / file, scale, "y" if up == "y" else "z", allow_open, material)
+        except (ValueError, ModuleNotFoundError) as error:
+            raise ValueError(f"{piece.where}: {error}") from error
+        plan.mesh(mesh, x, y, yaw, z)
         piece.done()
 
 

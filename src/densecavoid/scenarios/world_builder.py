@@ -13,10 +13,9 @@ from densecavoid.scenarios.free_space import Area, Ground, clear_path, free_poin
 from densecavoid.scenarios.walk_net import walk_net
 from densecavoid.sim.clearance import FOR_PEOPLE, FOR_ROBOT, clearances_m
 from densecavoid.sim.floorplan import FloorPlan
-from densecavoid.sim.people import STANDING, TRAVERSING, WANDERING, sample_bodies
+from densecavoid.sim.people import CIRCULATING, STANDING, WANDERING, sample_bodies
 from densecavoid.sim.spec import Crowd, WalkNet, WorldSpec
 
-FLOW = TRAVERSING
 """What people of a flow do."""
 
 WAY_CLEARANCE_M = 0.38
@@ -72,6 +71,7 @@ class WorldBuilder:
         self._people: list[tuple[float, ...]] = []  # x, y, goal x, goal y, speed, radius, height, behaviour, heading
         self._group: list[int] = []
         self._leg: list[tuple[int, int]] = []
+        self._entrance: list[Float[np.ndarray, "2"]] = []
         self._net: WalkNet | None = None
         self._groups = 0
 
@@ -223,11 +223,15 @@ class WorldBuilder:
     ) -> None:
         """Adds people who start in `area` and walk by the offset `towards` (m), a share `pairs` of them two by two.
 
+        Who has arrived comes in again at the edge of `area` that the flow comes from, so that it never thins out.
+
         Raises:
             ValueError: if there is no room for so many.
         """
         way = np.array(towards) / math.hypot(*towards)
         aside = np.array([-way[1], way[0]])
+        corners = np.array([(x, y) for x in area[::2] for y in area[1::2]])
+        edge = float((corners @ way).min())
         left = count
         while left > 0:
             members = 2 if left >= 2 and self.rng.random() < pairs else 1
@@ -242,7 +246,8 @@ class WorldBuilder:
             group, pace = (self._groups, self._speed(speed)) if members == 2 else (-1, self._speed(speed))
             self._groups += members == 2
             for p, (r, h) in zip(places, bodies, strict=True):
-                self._add(p, p + np.array(towards), pace, r, h, FLOW, None, group)
+                entrance = p - (float(p @ way) - edge) * way
+                self._add(p, p + np.array(towards), pace, r, h, CIRCULATING, None, group, entrance=entrance)
             left -= members
 
     # -- the world -----------------------------------------------------------------------------------------------------
@@ -262,6 +267,7 @@ class WorldBuilder:
             changes_of_mind_per_s=changes_of_mind_per_s,
             heading_rad=rows[:, 8],
             group=np.array(self._group),
+            entrance=np.array(self._entrance, np.float64),
             net=self._net,
             leg=None if self._net is None else np.array(self._leg),
         )
@@ -303,9 +309,10 @@ class WorldBuilder:
             return False
         return all(clearances_m(self.plan, here, 1.0, h)[0] > radius + 0.03 for h in (FOR_PEOPLE, FOR_ROBOT))
 
-    def _add(self, pos, goal, speed, radius, height, behaviour, heading, group, leg=(-1, -1)) -> None:
+    def _add(self, pos, goal, speed, radius, height, behaviour, heading, group, leg=(-1, -1), entrance=None) -> None:
         if heading is None:
             heading = math.atan2(goal[1] - pos[1], goal[0] - pos[0])
         self._people.append((*map(float, (*pos, *goal, speed, radius, height, behaviour, heading)),))
         self._group.append(group)
         self._leg.append(leg)
+        self._entrance.append(pos if entrance is None else entrance)

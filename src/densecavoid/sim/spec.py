@@ -61,6 +61,8 @@ class Crowd:
     """Where each looks at first; None: towards the goal."""
     group: Int[np.ndarray, "P"] | None = None
     """People of one number, 0 or more, belong together; -1 is alone. None: everybody is."""
+    entrance: Float[np.ndarray, "P 2"] | None = None
+    """Where circulating people come in again after they have arrived; None: where they began."""
     net: WalkNet | None = None
     """Places in sight of one another, for wanderers who have a leg."""
     leg: Int[np.ndarray, "P 2"] | None = None
@@ -68,7 +70,7 @@ class Crowd:
 
     def __post_init__(self) -> None:
         count = len(self.pos)
-        for name in ("heading_rad", "group"):
+        for name in ("heading_rad", "group", "entrance"):
             value = getattr(self, name)
             if value is not None:
                 require(len(value) == count, f"Crowd.{name}", f"{len(value)} long", f"{count}, one for each position")

@@ -141,6 +141,14 @@ def test_circulating_people_enter_again_where_they_began_once_there_is_room_and_
     assert sim.people().active[0, 0] and state.person_id[0, 0] == 3
 
 
+def test_circulating_people_come_in_at_their_entrance_where_one_is_given():
+    people = crowd([[0.0, 0.0]], [[3.0, 0.0]], behaviour=CIRCULATING, entrance=np.array([[-6.0, 1.0]]))
+    sim = simulate(people)
+    go(sim, 3.5)
+    x, y = sim._state.pos[0, 0]
+    assert sim._state.person_id[0, 0] == 1 and x < -5.0 and abs(y - 1.0) < 0.3
+
+
 def test_a_crowd_that_circulates_keeps_flowing():
     rng = np.random.default_rng(0)
     count, plan = 20, FloorPlan()

@@ -54,7 +54,8 @@ def place_crowd(
     state.person_id[b, there] = np.arange(crowd.size)
     state.next_id[b] = crowd.size
     state.entrance[b] = np.nan
-    state.entrance[b, there] = np.where((crowd.behaviour == CIRCULATING)[:, None], crowd.pos, np.nan)
+    entrance = crowd.pos if crowd.entrance is None else crowd.entrance
+    state.entrance[b, there] = np.where((crowd.behaviour == CIRCULATING)[:, None], entrance, np.nan)
     state.wander_area[b] = crowd.wander_area
     state.change_rate[b] = crowd.changes_of_mind_per_s
     state.attitude[b] = draw_attitudes(config, reactive, seed, state.pos.shape[1])
