@@ -81,9 +81,10 @@ def test_people_in_walls_pillars_each_other_or_the_robot_are_refused():
     with pytest.raises(ValueError, match=r"person 0 at \(2\.10, 2\.00\) is -0\.20 m"):
         begin(pillar, people((2.1, 2.0)))
     with pytest.raises(
-        ValueError, match=r"house: persons 0 at \(2\.00, 0\.00\) and 2 at \(2\.40, 0\.00\) overlap by 0\.10"
+        ValueError, match=r"house: persons 0 at \(2\.00, 0\.00\) and 2 at \(2\.00, 0\.40\) overlap by 0\.10"
     ):
-        begin(None, people((2.0, 0.0), (4.0, 1.0), (2.4, 0.0)))
+        begin(None, people((2.0, 0.0), (4.0, 1.0), (2.0, 0.4)))
+    begin(None, people((2.0, 0.0), (2.4, 0.0)))  # behind one another there is room
     with pytest.raises(ValueError, match=r"house: person 0 at \(0\.50, 0\.00\) is 0\.25 m from the robot's start"):
         begin(None, people((0.5, 0.0)))
     begin(wall_at(3.0), people((2.75, 1.0), (2.25, 1.0), (0.56, 0.0)))
@@ -157,9 +158,13 @@ def test_clearances_against_a_slow_loop():
 
 
 def test_nearest_pair_by_hand():
-    gap, first, second = nearest_pair(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 0.0]]), np.array([1.0, 1.0, 0.5]))
-    assert (gap, first, second) == (1.5, 0, 2)
-    assert nearest_pair(np.zeros((1, 2)), np.ones(1)) == (math.inf, -1, -1)
+    # Seen from above a body of half width .25 is .5 m wide and 2 x .55 x .25 = .275 m deep.
+    pos, radius = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.6]]), np.full(3, 0.25)
+    gap, first, second = nearest_pair(pos, radius, np.zeros(3))  # side by side, the last two
+    assert (gap, first, second) == (pytest.approx(0.1), 1, 2)
+    gap, first, second = nearest_pair(pos, radius, np.full(3, math.pi / 2))  # the last two behind one another
+    assert (gap, first, second) == (pytest.approx(0.325), 1, 2)
+    assert nearest_pair(np.zeros((1, 2)), np.full(1, 0.25), np.zeros(1)) == (math.inf, -1, -1)
 
 
 def test_a_start_inside_a_mesh_is_refused():

@@ -15,7 +15,7 @@ from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFra
 from densecavoid.perception.prediction_frame import FREE, draw_prediction
 from densecavoid.perception.tracker import Tracks, allocate_tracks, forget, update_tracks
 from densecavoid.perception.truth_detector import detect_from_truth
-from densecavoid.sim._jit import for_worlds, kernel
+from densecavoid.sim._jit import for_worlds, kernel, threads_for
 
 SCANS = 3
 """Consecutive scans in an observation (paper, Fig. 3)."""
@@ -173,10 +173,11 @@ class Observer:
         config = self.config
         self._check(frame)
         which = np.ones(self.num_worlds, np.bool_) if which is None else which
+        threads = threads_for(which, config.threads)
         for_worlds(
             _observe,
             self.num_worlds,
-            config.threads,
+            threads,
             which,
             self._fresh,
             frame.scan_m,
@@ -192,7 +193,7 @@ class Observer:
             for_worlds(
                 _follow_people,
                 self.num_worlds,
-                config.threads,
+                threads,
                 which,
                 frame.depth_m,
                 frame.odom_pose,

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 
 
 def _cache_folder() -> Path:
@@ -98,9 +99,17 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="densecavoid")
 
 
+_FEW_WORLDS = 3
+
+
 def available_threads() -> int:
     """Cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def threads_for(which: np.ndarray, threads: int) -> int:
+    """Threads for the marked worlds alone: to wake another one takes longer than to look at two or three worlds."""
+    return threads if np.count_nonzero(which) > _FEW_WORLDS else 1
 
 
 def for_worlds(function: Callable, num_worlds: int, threads: int, *args: object) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from jaxtyping import Float
 
 from densecavoid.frames import RobotConfig
 from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim.crowds.contact import stadium_gap
+from densecavoid.sim.crowds.neighbours import shoulder_line
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.geometry import (
     BOX_HALF_LENGTH,
@@ -23,7 +23,7 @@ from densecavoid.sim.geometry import (
     rectangle_offset,
 )
 from densecavoid.sim.mesh_contact import lessen_by_meshes
-from densecavoid.sim.people import STEP_OVER_M, WALK_UNDER_M
+from densecavoid.sim.people import STEP_OVER_M, WALK_UNDER_M, half_depth
 from densecavoid.sim.spec import WorldSpec
 
 Heights = tuple[float, float]
@@ -75,12 +75,21 @@ def clearances_m(
 
 
 @kernel
-def nearest_pair(pos, radius):
-    """The two bodies [P, 2] with the least gap between them: (gap, one, other); (inf, -1, -1) of fewer than two."""
+def nearest_pair(pos, radius, heading):
+    """The two bodies [P, 2] with the least gap between their outlines: (gap, one, other); (inf, -1, -1) of fewer."""
     least, first, second = np.inf, -1, -1
     for i in range(pos.shape[0]):
+        ax, ay = shoulder_line(heading[i], radius[i])
         for j in range(i):
-            gap = math.hypot(pos[i, 0] - pos[j, 0], pos[i, 1] - pos[j, 1]) - radius[i] - radius[j]
+            off_x, off_y, reach = (
+                pos[i, 0] - pos[j, 0],
+                pos[i, 1] - pos[j, 1],
+                radius[i] + radius[j] + min(least, _FAR_M),
+            )
+            if off_x * off_x + off_y * off_y > reach * reach:
+                continue
+            bx, by = shoulder_line(heading[j], radius[j])
+            gap, _, _ = stadium_gap(off_x, off_y, ax, ay, bx, by, half_depth(radius[i]) + half_depth(radius[j]))
             if gap < least:
                 least, first, second = gap, j, i
     return least, first, second
@@ -108,7 +117,7 @@ def check_can_begin(spec: WorldSpec, robot_height_m: float) -> None:
     if crowd.size == 0:
         return
     pos, radius = np.asarray(crowd.pos, np.float64), np.asarray(crowd.radius_m, np.float64)
-    gap, first, second = nearest_pair(pos, radius)
+    gap, first, second = nearest_pair(pos, radius, np.asarray(crowd.first_heading_rad, np.float64))
     if gap < -_TOUCH_M:
         raise ValueError(
             f"{spec.scenario}: persons {first} at {_place(pos[first])} and {second} at {_place(pos[second])} overlap "

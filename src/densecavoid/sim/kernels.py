@@ -208,12 +208,29 @@ def _end_step(state, b):
 
 
 @kernel
-def advance(first, last, state, which, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
+def advance(
+    first,
+    last,
+    state,
+    which,
+    recordings,
+    meshes,
+    replay_reactive,
+    by_forces,
+    by_half_planes,
+    command,
+    robot,
+    sub_steps,
+    dt,
+):
     """One control step of `sub_steps` x `dt` s for the marked worlds; ends early at a collision or the goal.
 
-    Without any `sub_steps` worlds that were just filled are brought to their first instant. It is the same kernel
-    because a second one, which shares half of the work, would have to be compiled too; and one for each motion model,
-    so that only those that are used are compiled.
+    Without any `sub_steps` worlds that were just filled are brought to their first instant: the same kernel, because a
+    second one would have to be compiled too.
+
+    Args:
+        by_forces: None, or True for the people of `crowds/social_force.py`; `by_half_planes` alike for those of
+            `crowds/orca.py`. What is None, numba leaves out: only the motion model that is used is compiled.
     """
     scratch = make_scratch(state.pos.shape[1])
     for b in range(first, last):
@@ -224,64 +241,18 @@ def advance(first, last, state, which, recordings, meshes, replay_reactive, comm
             continue
         linear, angular = _begin_step(state, b, command, robot.dynamic)
         scene = scene_of(state, b, scratch)
-        for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
+        first_tick = state.step_count[b] * sub_steps + 1
+        for tick in range(first_tick, first_tick + sub_steps):
             if _intend(state, b, recordings, meshes, tick, replay_reactive, scratch, robot.radius, dt):
                 see_robot(state, b, scratch, robot.radius)
                 look_up(scene, scratch)
-                find_things(scene, scratch)
-                anticipation.choose_velocities(scene, scratch, dt)
-                move_people(scene, state.phase[b], scratch, dt)
-                if meshes is not None:
-                    part_people_from_meshes(state, b, meshes, scratch.intended, 0.0)
-            if _move_robot(state, b, linear, angular, robot, meshes, tick, dt):
-                break
-        _end_step(state, b)
-
-
-@kernel
-def advance_social_force(first, last, state, which, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
-    """As `advance`, with the people of `crowds/social_force.py`."""
-    scratch = make_scratch(state.pos.shape[1])
-    for b in range(first, last):
-        if not which[b]:
-            continue
-        if sub_steps == 0:
-            _begin(state, b, recordings, meshes, replay_reactive, scratch, robot, dt)
-            continue
-        linear, angular = _begin_step(state, b, command, robot.dynamic)
-        scene = scene_of(state, b, scratch)
-        for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
-            if _intend(state, b, recordings, meshes, tick, replay_reactive, scratch, robot.radius, dt):
-                see_robot(state, b, scratch, robot.radius)
-                look_up(scene, scratch)
-                find_things(scene, scratch)
-                social_force.choose_velocities(scene, scratch, dt)
-                move_people(scene, state.phase[b], scratch, dt)
-                if meshes is not None:
-                    part_people_from_meshes(state, b, meshes, scratch.intended, 0.0)
-            if _move_robot(state, b, linear, angular, robot, meshes, tick, dt):
-                break
-        _end_step(state, b)
-
-
-@kernel
-def advance_orca(first, last, state, which, recordings, meshes, replay_reactive, command, robot, sub_steps, dt):
-    """As `advance`, with the people of `crowds/orca.py`."""
-    scratch = make_scratch(state.pos.shape[1])
-    for b in range(first, last):
-        if not which[b]:
-            continue
-        if sub_steps == 0:
-            _begin(state, b, recordings, meshes, replay_reactive, scratch, robot, dt)
-            continue
-        linear, angular = _begin_step(state, b, command, robot.dynamic)
-        scene = scene_of(state, b, scratch)
-        for tick in range(state.step_count[b] * sub_steps + 1, (state.step_count[b] + 1) * sub_steps + 1):
-            if _intend(state, b, recordings, meshes, tick, replay_reactive, scratch, robot.radius, dt):
-                see_robot(state, b, scratch, robot.radius)
-                look_up(scene, scratch)
-                find_things(scene, scratch)
-                orca.choose_velocities(scene, scratch, dt)
+                find_things(scene, scratch, tick == first_tick)
+                if by_forces is not None:
+                    social_force.choose_velocities(scene, scratch, dt)
+                elif by_half_planes is not None:
+                    orca.choose_velocities(scene, scratch, dt)
+                else:
+                    anticipation.choose_velocities(scene, scratch, dt)
                 move_people(scene, state.phase[b], scratch, dt)
                 if meshes is not None:
                     part_people_from_meshes(state, b, meshes, scratch.intended, 0.0)

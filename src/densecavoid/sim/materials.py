@@ -50,7 +50,8 @@ def material_number(name: str) -> int:
     Raises:
         ValueError: naming those there are.
     """
-    return _NUMBER[choose("material", name, tuple(_NUMBER))]
+    number = _NUMBER.get(name)  # asked for each thing in each world
+    return _NUMBER[choose("material", name, tuple(_NUMBER))] if number is None else number
 
 
 def material_colours() -> Float32[np.ndarray, "materials 3"]:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from densecavoid.frames import require
 from densecavoid.sim import kernels, noise, returns
-from densecavoid.sim._jit import for_worlds
+from densecavoid.sim._jit import for_worlds, threads_for
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.depth import camera_optics
 from densecavoid.sim.lidar import lidar_optics
@@ -110,8 +110,9 @@ class SensorSuite:
 
         The arrays are written again by the next call.
         """
-        num_worlds, threads = len(state.goal), self.config.threads
+        num_worlds = len(state.goal)
         which = np.ones(num_worlds, np.bool_) if which is None else which
+        threads = threads_for(which, self.config.threads)
         scan, depth = self._lines["scan"], self._lines["depth"]
         frames = (scan.frame, depth.frame)
         optics = self._lidar, self._camera

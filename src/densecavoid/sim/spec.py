@@ -93,6 +93,14 @@ class Crowd:
     def size(self) -> int:
         return len(self.pos)
 
+    @property
+    def first_heading_rad(self) -> Float[np.ndarray, "P"]:
+        """Where each looks at first: as given, or towards the goal."""
+        if self.heading_rad is not None:
+            return self.heading_rad
+        way = self.goal - self.pos
+        return np.arctan2(way[:, 1], way[:, 0])
+
     @staticmethod
     def nobody() -> Crowd:
         """An empty crowd."""

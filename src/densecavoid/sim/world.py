@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from densecavoid.frames import CameraConfig, Command, People, SensorFrame, Truth, require
 from densecavoid.sim import kernels
-from densecavoid.sim._jit import for_worlds, share_compilation
+from densecavoid.sim._jit import for_worlds, share_compilation, threads_for
 from densecavoid.sim.clearance import check_can_begin
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds.placing import place_crowd
@@ -23,11 +23,8 @@ from densecavoid.sim.sensors import SensorSuite
 from densecavoid.sim.spec import Scenario, WorldSpec
 from densecavoid.sim.state import WorldState, allocate, capacity, with_room
 
-_ADVANCE = {
-    "anticipation": kernels.advance,
-    "social-force": kernels.advance_social_force,
-    "orca": kernels.advance_orca,
-}
+_MOVES = {"anticipation": (None, None), "social-force": (True, None), "orca": (None, True)}
+"""What tells `kernels.advance` how people move."""
 
 
 class Simulator:
@@ -292,14 +289,15 @@ class Simulator:
 
     def _advance(self, which: Bool[np.ndarray, "B"], velocities: Float[np.ndarray, "B 2"], sub_steps: int) -> None:
         for_worlds(
-            _ADVANCE[self.config.motion],
+            kernels.advance,
             self.num_worlds,
-            self.config.threads,
+            threads_for(which, self.config.threads),
             self._state,
             which,
             self._recordings,
             self._meshes,
             self._replay_reactive,
+            *_MOVES[self.config.motion],
             velocities,
             self._robot,
             sub_steps,

@@ -50,8 +50,7 @@ def world_picture(spec: WorldSpec, width_px: int, height_px: int) -> Image.Image
     canvas.robot(np.array(spec.start_pose), RobotConfig().radius_m)
     crowd = spec.crowd
     if spec.appearance is None:
-        offset = crowd.goal - crowd.pos
-        heading = np.arctan2(offset[:, 1], offset[:, 0]) if crowd.heading_rad is None else crowd.heading_rad
+        heading = crowd.first_heading_rad
         for k in range(crowd.size):
             canvas.person(crowd.pos[k], float(heading[k]), float(crowd.radius_m[k]))
     return canvas.image()

@@ -55,7 +55,8 @@ def test_people_stand_closer_back_to_front_than_side_by_side():
 
 
 def test_who_stands_does_not_give_way_and_who_walks_does():
-    sim = simulate(crowd([[0.0, 0.0], [0.1, 0.2]], [[0.0, 0.0], [9.0, 0.2]], behaviour=[STANDING, TRAVERSING]))
+    sim = simulate(crowd([[0.0, 0.0], [1.1, 0.2]], [[0.0, 0.0], [9.0, 0.2]], behaviour=[STANDING, TRAVERSING]))
+    sim._state.pos[0, 1] = 0.1, 0.2  # a world that begins so is refused
     go(sim, 0.5)
     np.testing.assert_array_equal(sim.people().pos_w[0, 0], [0.0, 0.0])
     state = sim._state
@@ -90,10 +91,14 @@ def hall(rng: np.random.Generator, density: float) -> WorldSpec:
         plan.box(x, y, length, width, rng.uniform(0, 3))
         plan.pillar(x2, y2, rng.uniform(0.05, 0.3))
     radius, pos = rng.uniform(0.19, 0.33, 400), np.zeros((0, 2))
-    for tried in range(4000):
-        place = rng.uniform(0.3, side - 0.3, (1, 2))
-        free = depth_inside(plan, place, radius[len(pos)])[0] < 0
-        if free and (len(pos) == 0 or np.hypot(*(pos - place).T).min() > 0.35 + 0.2 * (tried < 2000)):
+    goal, heading = rng.uniform(0.4, side - 0.4, (400, 2)), np.zeros(400)
+    for _ in range(4000):
+        place, k = rng.uniform(0.3, side - 0.3, (1, 2)), len(pos)
+        heading[k] = math.atan2(*(goal[k] - place[0])[::-1])
+        near = np.flatnonzero(np.hypot(*(pos - place).T) < 0.7)
+        if depth_inside(plan, place, radius[k])[0] < 0 and all(
+            gap_of(place[0] - pos[j], heading[k], radius[k], heading[j], radius[j])[0] > 0 for j in near
+        ):
             pos = np.vstack([pos, place])
         if len(pos) >= density * side * side:
             break
@@ -102,7 +107,7 @@ def hall(rng: np.random.Generator, density: float) -> WorldSpec:
     kind = np.where((rng.random(len(pos)) < 0.3) & (apart.min(axis=1) > 0.62), STANDING, WANDERING)
     people = crowd(
         pos,
-        rng.uniform(0.4, side - 0.4, pos.shape),
+        goal[: len(pos)],
         rng.uniform(0.2, 1.5, len(pos)),
         kind,
         radius[: len(pos)],
@@ -130,7 +135,7 @@ def test_nobody_passes_a_wall_or_stays_in_anything_or_anybody(motion, density, s
     state, plan, count = sim._state, sim.floor_plan(0), sim._state.pos.shape[1]
     overlapping_s = np.zeros((count, count))
     before = state.pos[0].copy()
-    for step in range(160):
+    for _ in range(160):
         sim.step(Command(np.zeros(1), np.zeros(1)))
         pos, heading, radius = state.pos[0], state.heading[0], state.radius[0]
         assert np.isfinite(pos).all() and np.isfinite(state.vel[0]).all() and np.isfinite(heading).all()
@@ -144,4 +149,4 @@ def test_nobody_passes_a_wall_or_stays_in_anything_or_anybody(motion, density, s
             gap = gap_of(pos[i] - pos[j], heading[i], radius[i], heading[j], radius[j])[0]
             deep[i, j] = gap < -0.02 and (walks[i] or walks[j])
         overlapping_s = np.where(deep, overlapping_s + 0.05, 0.0)
-        assert step < 40 or overlapping_s.max() <= 0.5  # the first second sorts out how they were placed
+        assert overlapping_s.max() <= 0.5

@@ -226,12 +226,13 @@ def far_from_cylinder(x, y, cylinder, margin):
 
 
 @inner
-def find_things(scene, scratch):
-    """Notes the things that stand near each person who walks."""
+def find_things(scene, scratch, anew):
+    """Notes the things that stand near each person who walks, or, unless `anew`, who has only now begun to."""
     boxes, pillars = scene.boxes, scene.pillars
     for i in range(len(scene.pos)):
-        scratch.num_things[i] = 0
-        if not walks(scene.behaviour[i]):
+        if anew:
+            scratch.num_things[i] = -1
+        if scratch.num_things[i] >= 0 or not walks(scene.behaviour[i]):
             continue
         x, y, margin, count = scene.pos[i, 0], scene.pos[i, 1], scene.radius[i] + THINGS_M, 0
         for k in range(len(boxes)):

@@ -29,9 +29,7 @@ def place_crowd(
         waits: nobody is there before the robot has come some way (`WorldSpec.appearance`).
     """
     there = slice(0, crowd.size)
-    heading = crowd.heading_rad
-    if heading is None:
-        heading = np.arctan2(crowd.goal[:, 1] - crowd.pos[:, 1], crowd.goal[:, 0] - crowd.pos[:, 0])
+    heading = crowd.first_heading_rad
     state.behaviour[b] = ABSENT
     if not waits:
         state.behaviour[b, there] = crowd.behaviour
