@@ -112,14 +112,14 @@ def _look_around(scene, i, scratch):
             way_x, way_y = scratch.intended[j] if walks(scene.behaviour[j]) else scene.vel[j]
         else:
             line_x, line_y, depth, room = 0.0, 0.0, scene.robot[4], _ROBOT_ROOM_M
-            other_vx, other_vy, way_x, way_y = scene.robot[2], scene.robot[3], 0.0, 0.0
+            other_vx, other_vy, way_x, way_y = scene.robot[2], scene.robot[3], scene.robot[2], scene.robot[3]
         width = abs(own_x * off_x + own_y * off_y) + abs(line_x * off_x + line_y * off_y)
         reach = own_depth + depth + room + width / max(distance, 1e-6)
         fx, fy = anticipation_force(off_x, off_y, vx - other_vx, vy - other_vy, reach)
         total_x += fx
         total_y += fy
         row = scratch.seen[count]
-        row[0], row[1], row[2], row[3] = off_x, off_y, other_vx, other_vy
+        row[0], row[1], row[2], row[3] = off_x, off_y, way_x, way_y
         row[4], row[5], row[6], row[7] = depth, line_x, line_y, way_x * wish_x + way_y * wish_y
         count += 1
     return count, total_x, total_y
