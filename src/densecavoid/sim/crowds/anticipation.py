@@ -43,7 +43,7 @@ _LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
 _RIGHT = 0.19  # by which a way to the right is worth more than one to the left
 _SIDESTEP = 0.28  # what a way straight aside is worth, of one straight ahead
 _SHOULDER_TURN = 1.4  # rad by which people turn a shoulder to squeeze past one who faces them
-_SQUEEZE_M = 0.7  # when that one is nearer than this
+_SQUEEZE_M = 1.5  # when that one is nearer than this
 _CREEP = 0.5  # m/s with which they then press on
 
 
@@ -118,6 +118,8 @@ def _look_around(scene, i, scratch):
         fx, fy = anticipation_force(off_x, off_y, vx - other_vx, vy - other_vy, reach)
         total_x += fx
         total_y += fy
+        if way_x * wish_x + way_y * wish_y < 0.0 and distance < _SQUEEZE_M and abs(off_x * wish_y - off_y * wish_x) < 0.5 * wish:
+            scratch.turn[i] = _SHOULDER_TURN
         row = scratch.seen[count]
         row[0], row[1], row[2], row[3] = off_x, off_y, way_x, way_y
         row[4], row[5], row[6], row[7] = depth, line_x, line_y, way_x * wish_x + way_y * wish_y
@@ -215,7 +217,6 @@ def choose_velocities(scene, scratch, dt):
                     best, ahead, to_x, to_y = worth, free / _HEADWAY_S, look_x, look_y
                     if facing:
                         ahead = max(ahead, _CREEP)
-                    scratch.turn[i] = _SHOULDER_TURN if facing and free < _SQUEEZE_M else 0.0
             speed = min(speed, ahead)
         share = min(dt / (_BRAKING_S if vx * vx + vy * vy > speed * speed else _RELAXATION_S), 1.0)
         scratch.velocity[i, 0] = vx + share * (speed * to_x - vx)
