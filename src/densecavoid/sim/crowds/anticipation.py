@@ -36,7 +36,7 @@ _SWATH = 0.6  # of both widths: bodies that overlap less, seen from behind, do n
 _SWATH_ONCOMING = 0.8  # of both widths: so far apart people like to pass who meet
 _SEEN_BEHIND = -0.16  # cosine: people see 160 degrees around where they want to go
 _ASIDE = 0.7  # share of the force, of which only the part across the wished direction acts
-_FOLLOW_S = 1.5  # how far ahead people think when they choose a way
+_FOLLOW_S = 1.0  # how far ahead people think when they choose a way
 _CONTENT = 0.8  # of the way they would like to go in that time: with less, people look for another
 _WORTH_TURNING = 0.03  # of it: so much longer another way must be
 _LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
@@ -44,6 +44,7 @@ _RIGHT = 0.19  # by which a way to the right is worth more than one to the left
 _SIDESTEP = 0.28  # what a way straight aside is worth, of one straight ahead
 _SHOULDER_TURN = 1.4  # rad by which people turn a shoulder to squeeze past one who faces them
 _SQUEEZE_M = 1.5  # when that one is nearer than this
+_BESIDE_M = 0.5  # and no farther aside
 _CREEP = 0.3  # m/s with which they then press on
 
 
@@ -118,7 +119,7 @@ def _look_around(scene, i, scratch):
         fx, fy = anticipation_force(off_x, off_y, vx - other_vx, vy - other_vy, reach)
         total_x += fx
         total_y += fy
-        if way_x * wish_x + way_y * wish_y < 0.0 and distance < _SQUEEZE_M and abs(off_x * wish_y - off_y * wish_x) < 0.5 * wish:
+        if way_x * wish_x + way_y * wish_y < 0.0 and distance < _SQUEEZE_M and abs(off_x * wish_y - off_y * wish_x) < _BESIDE_M * wish:
             scratch.turn[i] = _SHOULDER_TURN
         row = scratch.seen[count]
         row[0], row[1], row[2], row[3] = off_x, off_y, way_x, way_y
@@ -157,8 +158,8 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         oncoming = row[2] * dir_x + row[3] * dir_y < -0.1
         if along > 0.0 and abs(across) < reach and not (oncoming and miss_2 > reach * reach):
             inside = 1.0 - across * across / (reach * reach)
-            body = depth + row[4] + abs(line_x * dir_x + line_y * dir_y) + abs(row[5] * dir_x + row[6] * dir_y)
-            free = min(free, (along - body * math.sqrt(inside)) / inside - _GAP_M)
+            body = depth + row[4]  # whoever has turned a shoulder turns back to follow
+            free = min(free, (along - body * math.sqrt(inside)) / inside - (0.0 if oncoming else _GAP_M))
         reach = (_SWATH_ONCOMING if oncoming else _SWATH) * width
         if closing > 0.0 and miss_2 < reach * reach:
             way = min(way, speed * (closing / speed_2 - math.sqrt((reach * reach - miss_2) / speed_2)))
