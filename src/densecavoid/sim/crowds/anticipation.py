@@ -29,10 +29,10 @@ _WALL_RANGE_M = 0.15
 _OVERSPEED = 1.3  # the greatest speed as a multiple of the preferred one
 
 # Chosen so that corridor flow is that of the HERMES recordings (benchmarks/crowds.py).
-_HEADWAY_S = 0.56  # T: time in which a person would walk the free space ahead
-_GAP_M = 0.2  # that people leave to the body ahead even when they stand
+_HEADWAY_S = 0.54  # T: time in which a person would walk the free space ahead
+_GAP_M = 0.22  # that people leave to the body ahead even when they stand
 _BRAKING_S = 0.12  # in which people adapt to less free space
-_SWATH = 0.6  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
+_SWATH = 0.7  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
 _SWATH_ONCOMING = 0.8  # of both widths: so far apart people like to pass who meet
 _SEEN_BEHIND = -0.16  # cosine: people see 160 degrees around where they want to go
 _ASIDE = 0.7  # share of the force, of which only the part across the wished direction acts
