@@ -40,8 +40,6 @@ _FOLLOW_S = 1.0  # how far ahead people think when they choose a way
 _CONTENT = 0.8  # of the way they would like to go in that time: with less, people look for another
 _WORTH_TURNING = 0.03  # of it: so much longer another way must be
 _LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
-_RIGHT = 0.19  # by which a way to the right is worth more than one to the left
-_SIDESTEP = 0.28  # what a way straight aside is worth, of one straight ahead
 _SHOULDER_TURN = 1.4  # rad by which people turn a shoulder to squeeze past one who faces them
 _SQUEEZE_M = 1.5  # when that one is nearer than this
 _BESIDE_M = 0.5  # and no farther aside
@@ -202,7 +200,7 @@ def choose_velocities(scene, scratch, dt):
             for k in range(-1, 2 * len(_LOOK_RAD)):
                 if k == 0 and best >= _CONTENT * enough:
                     break
-                angle = _LOOK_RAD[k // 2] * (1.0 - 2.0 * (k % 2)) if k >= 0 else 0.0
+                angle = _LOOK_RAD[k // 2] * (2.0 * (k % 2) - 1.0) if k >= 0 else 0.0  # to the right first
                 cos, sin = math.cos(angle), math.sin(angle)
                 look_x, look_y = cos * dir_x - sin * dir_y, sin * dir_x + cos * dir_y
                 free, worth = _free_space(
@@ -210,7 +208,7 @@ def choose_velocities(scene, scratch, dt):
                 )
                 worth = min(worth, enough)
                 if k >= 0:
-                    worth *= (cos + _SIDESTEP) * (1.0 if angle > 0.0 else 1.0 + _RIGHT)
+                    worth *= cos
                 if worth > best + _WORTH_TURNING * enough or k < 0:
                     best, ahead, to_x, to_y = worth, free / _HEADWAY_S, look_x, look_y
             speed = min(speed, max(ahead, _CREEP) if scratch.turn[i] != 0.0 else ahead)
