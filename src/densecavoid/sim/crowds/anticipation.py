@@ -27,22 +27,21 @@ _WALL_RANGE_M = 0.15
 _OVERSPEED = 1.3  # the greatest speed as a multiple of the preferred one
 
 # Chosen so that corridor flow is that of the HERMES recordings (benchmarks/crowds.py).
-_HEADWAY_S = 0.68  # T: time in which a person would walk the free space ahead
-_GAP_M = 0.09  # that people leave to the body ahead even when they stand
+_HEADWAY_S = 0.54  # T: time in which a person would walk the free space ahead
+_GAP_M = 0.22  # that people leave to the body ahead even when they stand
 _BRAKING_S = 0.12  # in which people adapt to less free space
-_SWATH = 0.5  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
-_SWATH_ONCOMING = 0.9  # of both widths: so far apart people like to pass who meet
+_SWATH = 0.7  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
+_SWATH_ONCOMING = 0.8  # of both widths: so far apart people like to pass who meet
 _SEEN_BEHIND = -0.16  # cosine: people see 160 degrees around where they want to go
 _ASIDE = 0.7  # share of the force, of which only the part across the wished direction acts
-_FOLLOW_S = 1.5  # how far ahead people think when they choose a way
+_FOLLOW_S = 1.0  # how far ahead people think when they choose a way
 _CONTENT = 0.8  # of the way they would like to go in that time: with less, people look for another
 _WORTH_TURNING = 0.03  # of it: so much longer another way must be
 _LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
-_RIGHT = 0.19  # by which a way to the right is worth more than one to the left
-_SIDESTEP = 0.28  # what a way straight aside is worth, of one straight ahead
 _SHOULDER_TURN = 1.4  # rad by which people turn a shoulder to squeeze past one who faces them
-_SQUEEZE_M = 0.7  # when that one is nearer than this
-_CREEP = 0.5  # m/s with which they then press on
+_SQUEEZE_M = 1.5  # when that one is nearer than this
+_BESIDE_M = 0.5  # and no farther aside
+_CREEP = 0.3  # m/s with which they then press on
 
 
 @kernel
@@ -110,15 +109,17 @@ def _look_around(scene, i, scratch):
             way_x, way_y = scratch.intended[j] if walks(scene.behaviour[j]) else scene.vel[j]
         else:
             line_x, line_y, depth, room = 0.0, 0.0, scene.robot[4], _ROBOT_ROOM_M
-            other_vx, other_vy, way_x, way_y = scene.robot[2], scene.robot[3], 0.0, 0.0
+            other_vx, other_vy, way_x, way_y = scene.robot[2], scene.robot[3], scene.robot[2], scene.robot[3]
         width = abs(own_x * off_x + own_y * off_y) + abs(line_x * off_x + line_y * off_y)
         reach = own_depth + depth + room + width / max(distance, 1e-6)
         fx, fy = anticipation_force(off_x, off_y, vx - other_vx, vy - other_vy, reach)
         total_x += fx
         total_y += fy
+        if way_x * wish_x + way_y * wish_y < 0.0 and distance < _SQUEEZE_M and abs(off_x * wish_y - off_y * wish_x) < _BESIDE_M * wish:
+            scratch.turn[i] = _SHOULDER_TURN
         row = scratch.seen[count]
-        row[0], row[1], row[2], row[3] = off_x, off_y, other_vx, other_vy
-        row[4], row[5], row[6], row[7] = depth, line_x, line_y, way_x * wish_x + way_y * wish_y
+        row[0], row[1], row[2], row[3] = off_x, off_y, way_x, way_y
+        row[4], row[5], row[6] = depth, line_x, line_y
         count += 1
     return count, total_x, total_y
 
@@ -139,9 +140,9 @@ def _wall_force(x, y, radius, scene, things, near, walls):
 
 @inner
 def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, dir_y, speed):
-    """What lies in a direction: metres to the first body or thing as they are now, metres that a person can go at a
-    speed before they meet one, if the others go on as they do, and whether the first faces them."""
-    free, way, meets = _SIGHT_M, _SIGHT_M, False
+    """What lies in a direction: metres to the first body or thing as they are now, and metres that a person can go at
+    a speed before they meet one, if the others go where they want to."""
+    free, way = _SIGHT_M, _SIGHT_M
     for n in range(bodies):
         row = seen[n]
         along, across = row[0] * dir_x + row[1] * dir_y, row[1] * dir_x - row[0] * dir_y
@@ -153,11 +154,8 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         oncoming = row[2] * dir_x + row[3] * dir_y < -0.1
         if along > 0.0 and abs(across) < reach and not (oncoming and miss_2 > reach * reach):
             inside = 1.0 - across * across / (reach * reach)
-            body = depth + row[4] + abs(line_x * dir_x + line_y * dir_y) + abs(row[5] * dir_x + row[6] * dir_y)
-            faces = row[7] < 0.0
-            space = (along - body * math.sqrt(inside)) / inside - (0.0 if faces else _GAP_M)
-            if space < free:
-                free, meets = space, faces
+            body = depth + row[4]  # whoever has turned a shoulder turns back to follow
+            free = min(free, (along - body * math.sqrt(inside)) / inside - (0.0 if oncoming else _GAP_M))
         reach = (_SWATH_ONCOMING if oncoming else _SWATH) * width
         if closing > 0.0 and miss_2 < reach * reach:
             way = min(way, speed * (closing / speed_2 - math.sqrt((reach * reach - miss_2) / speed_2)))
@@ -166,7 +164,7 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
         if towards > 0.05 and walls[n, 0] < free * towards:
             free = walls[n, 0] / towards
             way = min(way, free)
-    return max(free, 0.0), max(way, 0.0), meets
+    return max(free, 0.0), max(way, 0.0)
 
 
 @inner
@@ -200,21 +198,18 @@ def choose_velocities(scene, scratch, dt):
             for k in range(-1, 2 * len(_LOOK_RAD)):
                 if k == 0 and best >= _CONTENT * enough:
                     break
-                angle = _LOOK_RAD[k // 2] * (1.0 - 2.0 * (k % 2)) if k >= 0 else 0.0
+                angle = _LOOK_RAD[k // 2] * (2.0 * (k % 2) - 1.0) if k >= 0 else 0.0  # to the right first
                 cos, sin = math.cos(angle), math.sin(angle)
                 look_x, look_y = cos * dir_x - sin * dir_y, sin * dir_x + cos * dir_y
-                free, worth, facing = _free_space(
+                free, worth = _free_space(
                     scratch.seen, bodies, walls, things, depth, line_x, line_y, look_x, look_y, speed
                 )
                 worth = min(worth, enough)
                 if k >= 0:
-                    worth *= (cos + _SIDESTEP) * (1.0 if angle > 0.0 else 1.0 + _RIGHT)
+                    worth *= cos
                 if worth > best + _WORTH_TURNING * enough or k < 0:
                     best, ahead, to_x, to_y = worth, free / _HEADWAY_S, look_x, look_y
-                    if facing:
-                        ahead = max(ahead, _CREEP)
-                    scratch.turn[i] = _SHOULDER_TURN if facing and free < _SQUEEZE_M else 0.0
-            speed = min(speed, ahead)
+            speed = min(speed, max(ahead, _CREEP) if scratch.turn[i] != 0.0 else ahead)
         share = min(dt / (_BRAKING_S if vx * vx + vy * vy > speed * speed else _RELAXATION_S), 1.0)
         scratch.velocity[i, 0] = vx + share * (speed * to_x - vx)
         scratch.velocity[i, 1] = vy + share * (speed * to_y - vy)
