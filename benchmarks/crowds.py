@@ -58,27 +58,33 @@ class Ring:
         plan, count = FloorPlan(), self.people
         for y in (-0.05, WIDTH_M + 0.05):
             plan.wall(-SEAM_M, y, LENGTH_M + SEAM_M, y)
-        pos = np.zeros((0, 2))
-        while len(pos) < count:  # each at the best of some random places, so that few overlap
-            tries = rng.uniform([0.0, 0.35], [LENGTH_M, WIDTH_M - 0.35], (12, 2))
-            off = np.abs(tries[:, None] - pos)
-            off[..., 0] = np.minimum(off[..., 0], LENGTH_M - off[..., 0])
-            room = np.hypot(off[..., 0], off[..., 1]).min(axis=1, initial=9.0)
-            pos = np.vstack([pos, tries[np.argmax(room)]])
+        # Far from the ring and from each other: `RingSimulator` puts them into it, a dense crowd without room for all.
+        pos = np.stack([1e3 + 2.0 * np.arange(2 * count), np.zeros(2 * count)], axis=1)
         way = np.where(rng.permutation(count) % 2 == 1, -1.0, 1.0) if self.two_way else np.ones(count)
-        goal = pos + np.stack([1e4 * way, np.zeros(count)], axis=1)
+        goal = pos + np.stack([1e4 * np.tile(way, 2), np.zeros(2 * count)], axis=1)
         speed = np.clip(rng.normal(*FREE_SPEED, count), 0.5, 2.2)
         radius, height = sample_bodies(rng, count)
         kind = np.full(count, TRAVERSING)
         crowd = Crowd(
-            np.vstack([pos, pos + np.array([1e3, 0.0])]),
-            np.vstack([goal, goal]),
+            pos,
+            goal,
             np.tile(speed, 2),
             np.tile(radius, 2),
             np.tile(height, 2),
             np.concatenate([kind, np.full(count, STANDING)]),
         )
         return WorldSpec(self.name, plan, (-100.0, 0.0, 0.0), (-200.0, 0.0), crowd, time_limit_s=1e6)
+
+    def places(self, rng: np.random.Generator) -> np.ndarray:
+        """Where people begin, [people, 2]: each at the best of some random places, so that few overlap."""
+        pos = np.zeros((0, 2))
+        while len(pos) < self.people:
+            tries = rng.uniform([0.0, 0.35], [LENGTH_M, WIDTH_M - 0.35], (12, 2))
+            off = np.abs(tries[:, None] - pos)
+            off[..., 0] = np.minimum(off[..., 0], LENGTH_M - off[..., 0])
+            room = np.hypot(off[..., 0], off[..., 1]).min(axis=1, initial=9.0)
+            pos = np.vstack([pos, tries[np.argmax(room)]])
+        return pos
 
 
 class RingSimulator:
@@ -89,7 +95,11 @@ class RingSimulator:
         self.simulator = Simulator(ring, worlds, config)
         self.simulator.reset(seed + np.arange(worlds))
         self.count, self.worlds = ring.people, worlds
-        self.way = np.sign(self.simulator._state.vel[:, : self.count, 0])
+        state = self.simulator._state
+        for b in range(worlds):
+            state.pos[b, : self.count] = ring.places(np.random.default_rng((seed, b)))
+        state.person_goal[:, : self.count, 1] = state.pos[:, : self.count, 1]
+        self.way = np.sign(state.vel[:, : self.count, 0])
         self._still = Command(np.zeros(worlds), np.zeros(worlds))
         self.laps = np.zeros((worlds, self.count))
         self._mirror()

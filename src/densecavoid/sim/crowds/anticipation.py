@@ -115,7 +115,11 @@ def _look_around(scene, i, scratch):
         fx, fy = anticipation_force(off_x, off_y, vx - other_vx, vy - other_vy, reach)
         total_x += fx
         total_y += fy
-        if way_x * wish_x + way_y * wish_y < 0.0 and distance < _SQUEEZE_M and abs(off_x * wish_y - off_y * wish_x) < _BESIDE_M * wish:
+        if (
+            way_x * wish_x + way_y * wish_y < 0.0
+            and distance < _SQUEEZE_M
+            and abs(off_x * wish_y - off_y * wish_x) < _BESIDE_M * wish
+        ):
             scratch.turn[i] = _SHOULDER_TURN
         row = scratch.seen[count]
         row[0], row[1], row[2], row[3] = off_x, off_y, way_x, way_y
