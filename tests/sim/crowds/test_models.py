@@ -44,7 +44,7 @@ def orca_velocities(scene, intended, dt):
     scratch = make_scratch(len(intended))
     scratch.intended[:] = intended
     look_up(scene, scratch)
-    find_things(scene, scratch)
+    find_things(scene, scratch, True)
     orca.choose_velocities(scene, scratch, dt)
     return scratch.velocity
 

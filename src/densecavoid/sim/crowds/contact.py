@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from densecavoid.sim._jit import inner, kernel
-from densecavoid.sim.crowds.neighbours import MAX_THINGS, collect, thing_offset
+from densecavoid.sim.crowds.neighbours import MAX_THINGS, collect, shoulder_line, thing_offset
 from densecavoid.sim.people import ABSENT, STANDING, half_depth
 
 ROBOT_GAP_M = 0.05
@@ -155,7 +155,7 @@ def _out_of_things(scene, i, scratch, standing, robot_reach):
 def keep_out_of_things(scene, i, scratch, robot_reach):
     """Keeps person i out of walls, furniture, pillars and people who stand, and off the robot.
 
-    Where things leave no room, the person stays where they were.
+    Where things leave no room, the person stays where they were, turned as they were.
 
     Args:
         robot_reach: distance from the robot's centre that is left free; 0 for one who does not notice it.
@@ -169,5 +169,6 @@ def keep_out_of_things(scene, i, scratch, robot_reach):
     for _ in range(3):
         if _out_of_things(scene, i, scratch, standing, robot_reach) == 0:
             return
-    scene.pos[i, 0], scene.pos[i, 1] = x, y
+    scene.pos[i, 0], scene.pos[i, 1], scene.heading[i] = x, y, scratch.before[i, 2]
     scene.vel[i, 0] = scene.vel[i, 1] = 0.0
+    scratch.shoulder[i, 0], scratch.shoulder[i, 1] = shoulder_line(scene.heading[i], scene.radius[i])

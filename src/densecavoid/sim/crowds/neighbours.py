@@ -74,7 +74,7 @@ class Scratch(NamedTuple):
 
     intended: np.ndarray  # f64 [P, 2] where each wants to go, m/s
     velocity: np.ndarray  # f64 [P, 2] where each will go
-    before: np.ndarray  # f64 [P, 2] where each was
+    before: np.ndarray  # f64 [P, 3] where each was, and the heading
     turn: np.ndarray  # f64 [P] rad by which each turns their shoulders out of the way they go
     push: np.ndarray  # f64 [P] metres that others have pushed each in this step
     near: np.ndarray  # i64 [P] the people around one
@@ -97,7 +97,7 @@ def make_scratch(num_people):
     return Scratch(
         np.zeros((num_people, 2)),
         np.zeros((num_people, 2)),
-        np.zeros((num_people, 2)),
+        np.zeros((num_people, 3)),
         np.zeros(num_people),
         np.zeros(num_people),
         np.zeros(num_people, np.int64),

@@ -20,7 +20,7 @@ def move_people(scene, phase, scratch, dt):
     """Moves everybody for `dt` seconds with the velocities in `scratch`; bodies part, and stay out of things."""
     pos, vel = scene.pos, scene.vel
     for i in range(len(pos)):
-        scratch.before[i, 0], scratch.before[i, 1] = pos[i, 0], pos[i, 1]
+        scratch.before[i, 0], scratch.before[i, 1], scratch.before[i, 2] = pos[i, 0], pos[i, 1], scene.heading[i]
         if walks(scene.behaviour[i]):
             for axis in range(2):
                 vel[i, axis] = scratch.velocity[i, axis]
