@@ -22,7 +22,7 @@ from densecavoid.frames import Command
 from densecavoid.scenarios.recordings import hermes_path, hermes_width_m, load_recording, resolve_data
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.floorplan import FloorPlan
-from densecavoid.sim.people import ABSENT, STANDING, TRAVERSING, sample_bodies
+from densecavoid.sim.people import ABSENT, TRAVERSING, sample_bodies
 from densecavoid.sim.spec import Crowd, WorldSpec
 from densecavoid.sim.world import Simulator
 
@@ -71,7 +71,7 @@ class Ring:
             np.tile(speed, 2),
             np.tile(radius, 2),
             np.tile(height, 2),
-            np.concatenate([kind, np.full(count, STANDING)]),
+            np.tile(kind, 2),
         )
         return WorldSpec(self.name, plan, (-100.0, 0.0, 0.0), (-200.0, 0.0), crowd, time_limit_s=1e6)
 
@@ -88,7 +88,7 @@ class Ring:
 
 
 class RingSimulator:
-    """Some rings at once. The images of people near the seam are slots that stand, with a walker's velocity."""
+    """Some rings at once. The images of people near the seam walk as they do, and are put back after each step."""
 
     def __init__(self, ring: Ring, worlds: int, motion: str, seed: int = 0) -> None:
         config = SimConfig(control_dt_s=DT_S, physics_dt_s=DT_S, threads=1, motion=motion)  # type: ignore[arg-type]
@@ -125,7 +125,7 @@ class RingSimulator:
         state, n = self.simulator._state, self.count
         before = self.pos[..., 0] < SEAM_M
         near = before | (self.pos[..., 0] > LENGTH_M - SEAM_M)
-        state.behaviour[:, n:] = np.where(near, STANDING, ABSENT)
+        state.behaviour[:, n:] = np.where(near, TRAVERSING, ABSENT)
         state.pos[:, n:] = self.pos
         state.pos[:, n:, 0] += np.where(before, LENGTH_M, -LENGTH_M)
         state.vel[:, n:], state.heading[:, n:] = state.vel[:, :n], state.heading[:, :n]

@@ -27,11 +27,10 @@ _WALL_RANGE_M = 0.15
 _OVERSPEED = 1.3  # the greatest speed as a multiple of the preferred one
 
 # Chosen so that corridor flow is that of the HERMES recordings (benchmarks/crowds.py).
-_HEADWAY_S = 0.54  # T: time in which a person would walk the free space ahead
+_HEADWAY_S = 0.53  # T: time in which a person would walk the free space ahead
 _GAP_M = 0.22  # that people leave to the body ahead even when they stand
 _BRAKING_S = 0.12  # in which people adapt to less free space
-_SWATH = 0.7  # of both widths: bodies that overlap less, seen from behind, do not hold each other up
-_SWATH_ONCOMING = 0.8  # of both widths: so far apart people like to pass who meet
+_SWATH = 0.7  # of both widths: bodies that overlap less do not hold each other up
 _SEEN_BEHIND = -0.16  # cosine: people see 160 degrees around where they want to go
 _ASIDE = 0.7  # share of the force, of which only the part across the wished direction acts
 _FOLLOW_S = 1.0  # how far ahead people think when they choose a way
@@ -41,7 +40,7 @@ _LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
 _SHOULDER_TURN = 1.4  # rad by which people turn a shoulder to squeeze past one who faces them
 _SQUEEZE_M = 1.5  # when that one is nearer than this
 _BESIDE_M = 0.5  # and no farther aside
-_CREEP = 0.3  # m/s with which they then press on
+_CREEP = 0.4  # m/s with which they then press on
 
 
 @kernel
@@ -115,12 +114,9 @@ def _look_around(scene, i, scratch):
         fx, fy = anticipation_force(off_x, off_y, vx - other_vx, vy - other_vy, reach)
         total_x += fx
         total_y += fy
-        if (
-            way_x * wish_x + way_y * wish_y < 0.0
-            and distance < _SQUEEZE_M
-            and abs(off_x * wish_y - off_y * wish_x) < _BESIDE_M * wish
-        ):
-            scratch.turn[i] = _SHOULDER_TURN
+        beside = abs(off_x * wish_y - off_y * wish_x)
+        if way_x * wish_x + way_y * wish_y < 0.0 and distance < _SQUEEZE_M and beside < _BESIDE_M * wish:
+            scratch.turn[i] = _SHOULDER_TURN  # two who both do so have room in half the width
         row = scratch.seen[count]
         row[0], row[1], row[2], row[3] = off_x, off_y, way_x, way_y
         row[4], row[5], row[6] = depth, line_x, line_y
@@ -160,7 +156,6 @@ def _free_space(seen, bodies, walls, num_walls, depth, line_x, line_y, dir_x, di
             inside = 1.0 - across * across / (reach * reach)
             body = depth + row[4]  # whoever has turned a shoulder turns back to follow
             free = min(free, (along - body * math.sqrt(inside)) / inside - (0.0 if oncoming else _GAP_M))
-        reach = (_SWATH_ONCOMING if oncoming else _SWATH) * width
         if closing > 0.0 and miss_2 < reach * reach:
             way = min(way, speed * (closing / speed_2 - math.sqrt((reach * reach - miss_2) / speed_2)))
     for n in range(num_walls):
