@@ -13,6 +13,7 @@ from small_worlds import MOTIONS, Given, crowd, go, simulate
 
 from densecavoid.frames import Command
 from densecavoid.scenarios import make_scenario
+from densecavoid.scenarios.free_space import free_points
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.crowds import orca, social_force
 from densecavoid.sim.crowds.neighbours import Scene, collect, find_things, look_up, make_scratch
@@ -197,7 +198,7 @@ def test_same_seed_same_bits_for_any_batch_threads_and_resume(motion, people):
         plan = FloorPlan()
         plan.room(0.0, 0.0, 7.0, 7.0)
         everyone = crowd(
-            rng.uniform(0.5, 6.5, (count, 2)),
+            free_points(rng, plan, (0.5, 0.5, 6.5, 6.5), count, 0.3, 0.52, (3.5, 3.5), 0.5),
             rng.uniform(0.5, 6.5, (count, 2)),
             rng.uniform(0.3, 1.5, count),
             group=rng.integers(-1, 8, count),
