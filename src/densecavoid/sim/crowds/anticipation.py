@@ -38,9 +38,9 @@ _CONTENT = 0.8  # of the way they would like to go in that time: with less, peop
 _WORTH_TURNING = 0.03  # of it: so much longer another way must be
 _LOOK_RAD = (0.12, 0.3, 0.6, 1.0, 1.5)  # to both sides
 _SHOULDER_TURN = 1.4  # rad by which people turn a shoulder to squeeze past one who faces them
-_SQUEEZE_M = 1.5  # when that one is nearer than this
+_SQUEEZE_M = 1.2  # when that one is nearer than this
 _BESIDE_M = 0.5  # and no farther aside
-_CREEP = 0.4  # m/s with which they then press on
+_CREEP = 0.5  # m/s with which they then press on
 
 
 @kernel
