@@ -28,7 +28,7 @@ _OVERSPEED = 1.3  # the greatest speed as a multiple of the preferred one
 
 # Chosen so that corridor flow is that of the HERMES recordings (benchmarks/crowds.py).
 _HEADWAY_S = 0.53  # T: time in which a person would walk the free space ahead
-_GAP_M = 0.22  # that people leave to the body ahead even when they stand
+_GAP_M = 0.23  # that people leave to the body ahead even when they stand
 _BRAKING_S = 0.12  # in which people adapt to less free space
 _SWATH = 0.7  # of both widths: bodies that overlap less do not hold each other up
 _SEEN_BEHIND = -0.16  # cosine: people see 160 degrees around where they want to go
