@@ -61,7 +61,28 @@ def _train(args: Sequence[str]) -> None:
     print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
-VERBS: dict[str, Callable[[Sequence[str]], None]] = {"run": _run, "train": _train, "benchmark": _benchmark}
+PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {}
+"""What `densecavoid perceive` can do."""
+
+
+def _perceive(args: Sequence[str]) -> None:
+    """train and evaluate what sees, tracks and predicts people"""
+    if not args or args[0] not in PERCEIVE:
+        wanted = "\n".join(f"  {name:16} {verb.__doc__}" for name, verb in PERCEIVE.items())
+        usage = f"usage: densecavoid perceive WHAT [options]\n\n{wanted}"
+        if args and args[0] not in ("-h", "--help"):
+            raise ValueError(f"unknown {args[0]!r}\n{usage}")
+        print(usage)
+        return
+    PERCEIVE[args[0]](args[1:])
+
+
+VERBS: dict[str, Callable[[Sequence[str]], None]] = {
+    "run": _run,
+    "train": _train,
+    "benchmark": _benchmark,
+    "perceive": _perceive,
+}
 
 
 def _usage() -> str:
