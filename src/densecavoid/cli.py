@@ -61,7 +61,18 @@ def _train(args: Sequence[str]) -> None:
     print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
-PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {}
+def _train_predictor(args: Sequence[str]) -> None:
+    """train what foresees where people will be; a run that was cut off goes on"""
+    try:
+        from densecavoid.perception.predictor.training import TrainPredictorConfig, train_predictor
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
+    print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))
+
+
+PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
+    "train-predictor": _train_predictor,
+}
 """What `densecavoid perceive` can do."""
 
 
