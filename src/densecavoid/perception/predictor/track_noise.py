@@ -68,7 +68,7 @@ def as_tracked(windows: Windows, noise: TrackNoise, rng: np.random.Generator) ->
 
 
 def jittered(windows: Windows, std_m: float, rng: np.random.Generator) -> Windows:
-    """White noise on the places of half the tracks, mostly little, a standard deviation each of up to `std_m`; no tracker.
+    """White noise on the places of half the tracks, without a tracker: mostly little, up to `std_m`.
 
     Recordings differ: clicked tracks are smooth, others jump by centimetres, and what is right for one is wrong for the
     other. With both before it, a network learns to tell them apart.
