@@ -70,7 +70,17 @@ def _train_predictor(args: Sequence[str]) -> None:
     print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))
 
 
+def _train_legs(args: Sequence[str]) -> None:
+    """train the classifier of legs in lidar scans"""
+    from densecavoid.perception.leg_training import LegTrainingConfig, train_legs
+
+    config = tyro.cli(LegTrainingConfig, prog="densecavoid perceive train-legs", args=args)
+    train_legs(config)
+    print(config.out)
+
+
 PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
+    "train-legs": _train_legs,
     "train-predictor": _train_predictor,
 }
 """What `densecavoid perceive` can do."""
