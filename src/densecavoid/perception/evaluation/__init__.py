@@ -1,0 +1,1 @@
+"""How well people are seen, followed and foreseen, measured as BENCHMARK says."""
