@@ -156,6 +156,7 @@ def test_a_letterbox_keeps_proportions_and_boxes_come_back_to_the_image():
     assert (rows.max() + 1 - top) / scale == pytest.approx(20, abs=3)
 
 
+@pytest.mark.slow
 def test_darknet_weights_run_on_colour_images_at_once(tmp_path):
     pytest.importorskip("torch")
     from test_darknet import random_weights, thin

@@ -45,7 +45,7 @@ def test_a_pitched_cameras_box_holds_the_body_projected_by_a_matrix(pitch):
     axes = np.array([[math.cos(pitch), 0, -math.sin(pitch)], [0, 1, 0], [math.sin(pitch), 0, math.cos(pitch)]])
     for forward, left in ((3.0, 0.4), (2.0, -0.8), (4.5, 1.5)):
         angle = np.linspace(0, 2 * np.pi, 721)
-        ring = np.stack([forward + radius * np.cos(angle), left + radius * np.sin(angle)])
+        ring = forward + radius * np.cos(angle), left + radius * np.sin(angle)
 
         def pixels(x, y, z, axes=axes):
             depth, aside, up = axes @ np.stack([x, y, np.full_like(x, z - mount)])

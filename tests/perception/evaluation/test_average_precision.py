@@ -64,7 +64,13 @@ def coco_average_precision(images: list[Image]) -> float:
 
     def row(box: np.ndarray, image: int, number: int) -> dict:
         u, v, width, height = *box[:2].tolist(), *(box[2:] - box[:2]).tolist()
-        return {"id": number, "image_id": image, "category_id": 1, "bbox": [u, v, width, height], "area": width * height}
+        return {
+            "id": number,
+            "image_id": image,
+            "category_id": 1,
+            "bbox": [u, v, width, height],
+            "area": width * height,
+        }
 
     truths, results = [], []
     for n, (truth, wanted, found, confidence) in enumerate(images):

@@ -17,8 +17,8 @@ CARD_FORMAT = 1
 
 @dataclass(frozen=True)
 class PlaceError:
-    """How far to trust a place; fitted to images that the network was not trained on. The standard deviation of x and of
-    y is the root of the sum of squares of these terms."""
+    """How far to trust a place; fitted to images that the network was not trained on. The standard deviation of x and
+    of y is the root of the sum of squares of these terms."""
 
     floor_m: float = 0.02
     """Of everybody."""
