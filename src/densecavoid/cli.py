@@ -98,9 +98,19 @@ def _import_darknet(args: Sequence[str]) -> None:
     print(config.out)
 
 
+def _train_legs(args: Sequence[str]) -> None:
+    """train the classifier of legs in lidar scans"""
+    from densecavoid.perception.leg_training import LegTrainingConfig, train_legs
+
+    config = tyro.cli(LegTrainingConfig, prog="densecavoid perceive train-legs", args=args)
+    train_legs(config)
+    print(config.out)
+
+
 PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
     "train-detector": _train_detector,
     "import-darknet": _import_darknet,
+    "train-legs": _train_legs,
 }
 """What `densecavoid perceive` can do."""
 

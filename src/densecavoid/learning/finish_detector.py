@@ -30,7 +30,7 @@ MOST_FALSE_PER_ROOM = 0.01
 """In images of training rooms without anybody: half of what is promised for new rooms."""
 MAX_OVERLAP = 0.5
 _LEAST_CONFIDENCE = 0.02
-_LARGEST_ERROR_M = 0.5  # a farther place is somebody else's, and says nothing about this one's error
+_FREEDOM = 4.0
 
 
 def choose_threshold(views: Views, found: list[Found], in_rooms: list[Found]) -> float:
@@ -43,22 +43,37 @@ def choose_threshold(views: Views, found: list[Found], in_rooms: list[Found]) ->
     return float(round(max(best, min(quiet, default=0.95)), 2))
 
 
-def fit_place_error(views: Views, found: list[Found], threshold: float) -> PlaceError:
-    """The most likely coefficients for round Gaussian errors of those found."""
-    table = error_table(views, found, threshold)
+def fit_place_error(views: Views, detector: DepthDetector, threshold: float) -> PlaceError:
+    """The coefficients under which the errors of those found are most likely, taken for Student's t.
+
+    Errors have long tails, where a neighbour's depth is taken for a person's; with a Gaussian's likelihood those few
+    would decide how far all others are trusted.
+    """
+    # With this as the whole error, the deviation claimed is the share hidden.
+    hidden_alone = PlaceError(floor_m=0.0, per_m2=0.0, unsure_m=0.0, hidden_m=1.0, cut_m=0.0)
+    detector.card = dataclasses.replace(detector.card, place_error=hidden_alone)
+    table = error_table(views, look_at(views, detector), threshold)
     counted = table["detected"] & (table["share"] >= MIN_VISIBLE_FRACTION)
-    squared = table["along_m"] ** 2 + table["across_m"] ** 2
-    counted &= squared < _LARGEST_ERROR_M**2
-    distance, unsure, squared = table["distance_m"][counted], 1.0 - table["confidence"][counted], squared[counted]
-    cut = table["cut"][counted]
+    squared = (table["along_m"] ** 2 + table["across_m"] ** 2)[counted]
+    terms = np.stack(
+        [
+            np.ones(len(squared)),
+            table["distance_m"][counted] ** 2,
+            1.0 - table["confidence"][counted],
+            table["std_m"][counted],
+            table["cut"][counted].astype(float),
+        ]
+    )
 
     def cost(logs: np.ndarray) -> float:
-        floor, per_m2, doubt, more = np.exp(logs)
-        std = np.sqrt(floor**2 + (per_m2 * distance**2) ** 2 + (doubt * unsure) ** 2) + more * cut
-        return float(np.mean(2 * np.log(std) + 0.5 * squared / std**2))
+        variance = np.exp(2.0 * logs) @ terms**2
+        # Of two dimensions with _FREEDOM degrees of freedom.
+        tail = (_FREEDOM + 2.0) / 2.0 * np.log1p(squared / (_FREEDOM * variance))
+        return float(np.mean(np.log(variance) + tail))
 
-    start = np.log([0.05, 0.005, 0.2, 0.05])
-    best = optimize.minimize(cost, start, method="Nelder-Mead", options={"maxiter": 2000}).x
+    default = PlaceError()
+    start = np.log(np.maximum(dataclasses.astuple(default), 1e-4))
+    best = optimize.minimize(cost, start, method="Nelder-Mead", options={"maxiter": 4000, "maxfev": 4000}).x
     return PlaceError(*(round(float(value), 5) for value in np.exp(best)))
 
 
@@ -88,7 +103,7 @@ def write_detector(
     card = dataclasses.replace(
         card,
         threshold=threshold,
-        place_error=fit_place_error(views, found, threshold),
+        place_error=fit_place_error(views, detector, threshold),
         training=training | results,
     )
     save_detector(out / "detector.safetensors", network, card)

@@ -17,13 +17,19 @@ CARD_FORMAT = 1
 
 @dataclass(frozen=True)
 class PlaceError:
-    """Standard deviation of x and of y of a place: sqrt(floor^2 + (per_m2 d^2)^2 + (unsure (1 - confidence))^2), and
-    `cut` more where the image's side cuts the box; d is the distance in m. Fitted to images never trained on."""
+    """How far to trust a place; fitted to images that the network was not trained on. The standard deviation of x and
+    of y is the root of the sum of squares of these terms."""
 
-    floor_m: float = 0.05
-    per_m2: float = 0.005
-    unsure_m: float = 0.2
-    cut_m: float = 0.1
+    floor_m: float = 0.02
+    """Of everybody."""
+    per_m2: float = 0.001
+    """Times the distance squared."""
+    unsure_m: float = 0.1
+    """Times 1 - confidence."""
+    hidden_m: float = 0.1
+    """Times the share of the box's middle that shows something else than the person."""
+    cut_m: float = 0.05
+    """Where a side of the image cuts the box."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:

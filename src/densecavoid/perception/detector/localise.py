@@ -97,11 +97,12 @@ def _surface_distance(depth, box, focal_y, camera_height, pitch, expected, devia
 
 
 @kernel
-def place_boxes(boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, low, high, place, body, cut):
+def place_boxes(boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, low, high, place, body, shown, cut):
     """Fills, for boxes [N, 4] of one depth image [rows, width] in m (NaN: none):
 
     place [N, 2] metres ahead and to the left of the robot's centre; body [N, 2] radius and height in m, NaN where the
-    image cuts them; cut [N] whether a side of the image cuts the box.
+    image cuts them; shown [N] share of the box's middle that shows the person; cut [N] whether a side of the image cuts
+    the box.
     """
     rows, width = depth.shape
     for i in range(boxes.shape[0]):
@@ -110,7 +111,7 @@ def place_boxes(boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, l
         expected, deviation = _expected_distance(
             box, cut_left, cut_right, rows, focal_x, focal_y, camera_height, pitch, low, high
         )
-        surface, _ = _surface_distance(depth, box, focal_y, camera_height, pitch, expected, deviation)
+        surface, shown[i] = _surface_distance(depth, box, focal_y, camera_height, pitch, expected, deviation)
         # Sides of a box are tangents to the body's disc; where one is out of the image, the other tells.
         left, right = math.atan((0.5 * width - box[0]) / focal_x), math.atan((0.5 * width - box[2]) / focal_x)
         half = math.asin(min(1.0, ADULT_RADIUS_M / max(surface, ADULT_RADIUS_M)))
@@ -129,10 +130,13 @@ def place_boxes(boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, l
         body[i, 1] = np.nan if box[1] < _CUT_PX else camera_height + forward / ahead * rise
 
 
-def place_std_m(error: PlaceError, distance_m: np.ndarray, confidence: np.ndarray, cut: np.ndarray) -> np.ndarray:
-    """Standard deviation of x and of y of each place, as `PlaceError` says."""
-    terms = error.floor_m**2 + (error.per_m2 * distance_m**2) ** 2 + (error.unsure_m * (1.0 - confidence)) ** 2
-    return np.sqrt(terms) + error.cut_m * cut
+def place_std_m(
+    error: PlaceError, distance_m: np.ndarray, confidence: np.ndarray, shown: np.ndarray, cut: np.ndarray
+) -> np.ndarray:
+    """Standard deviation of x and of y of each place, as `PlaceError` says; arrays [N] as `place_boxes` fills them."""
+    terms = error.floor_m, error.per_m2 * distance_m**2, error.unsure_m * (1.0 - confidence)
+    more = error.hidden_m * (1.0 - shown), error.cut_m * cut
+    return np.sqrt(sum(np.square(term) for term in (*terms, *more)))
 
 
 def localise(
@@ -152,7 +156,8 @@ def localise(
     """
     found = allocate_detections(1)
     count = min(len(boxes.confidence), found.pos.shape[1])
-    place, body, cut = np.empty((count, 2)), np.empty((count, 2)), np.zeros(count, np.bool_)
+    place, body = np.empty((count, 2)), np.empty((count, 2))
+    shown, cut = np.empty(count), np.zeros(count, np.bool_)
     place_boxes(
         boxes.box[:count],
         depth_m,
@@ -164,6 +169,7 @@ def localise(
         float(camera.max_range_m),
         place,
         body,
+        shown,
         cut,
     )
     cos, sin = math.cos(odom_pose[2]), math.sin(odom_pose[2])
@@ -172,6 +178,6 @@ def localise(
     found.pos[0, :count, 1] = odom_pose[1] + sin * place[:, 0] + cos * place[:, 1]
     found.body[0, :count] = body
     found.confidence[0, :count] = boxes.confidence[:count]
-    found.std_m[0, :count] = place_std_m(error, distance, found.confidence[0, :count], cut)
+    found.std_m[0, :count] = place_std_m(error, distance, found.confidence[0, :count], shown, cut)
     found.count[0] = count
     return found
