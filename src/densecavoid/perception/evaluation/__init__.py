@@ -1,1 +1,1 @@
-"""How well people are found, tracked and predicted: tables and pictures."""
+"""How well people are seen, followed and foreseen, measured as BENCHMARK says."""
