@@ -107,10 +107,20 @@ def _train_legs(args: Sequence[str]) -> None:
     print(config.out)
 
 
+def _train_predictor(args: Sequence[str]) -> None:
+    """train what foresees where people will be; a run that was cut off goes on"""
+    try:
+        from densecavoid.perception.predictor.training import TrainPredictorConfig, train_predictor
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
+    print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))
+
+
 PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
     "train-detector": _train_detector,
     "import-darknet": _import_darknet,
     "train-legs": _train_legs,
+    "train-predictor": _train_predictor,
 }
 """What `densecavoid perceive` can do."""
 
