@@ -17,7 +17,7 @@ def observer_config(config: TrainConfig) -> ObserverConfig:
         lidar=config.sim.lidar,
         camera=config.sim.camera,
         people_from="truth" if config.sensors == "densecavoid" else "nothing",
-        horizon_s=config.prediction_horizon_s,
+        horizons_s=(config.prediction_horizon_s,),
         control_dt_s=config.sim.control_dt_s,
         threads=config.sim.threads,
     )

@@ -18,7 +18,7 @@ from densecavoid.perception.assignment import NOBODY, settle_contested, settle_u
 from densecavoid.perception.detections import MAX_DETECTIONS, Detections
 from densecavoid.perception.kalman import kalman_correct, kalman_predict
 from densecavoid.perception.tracks import HISTORY, HISTORY_DT_S, MAX_TRACKS, Tracks, allocate_tracks, forget, remember
-from densecavoid.perception.visibility import CameraView, LidarView, legs_seen_by_lidar, seen_by_camera
+from densecavoid.perception.visibility import DepthView, LidarView, legs_seen_by_lidar, seen_by_camera
 from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
 
 ACCELERATION_STD = 1.0
@@ -49,7 +49,7 @@ class Sighting(NamedTuple):
     """What one sensor found, and what it looked at."""
 
     detections: Detections
-    view: CameraView | LidarView
+    view: DepthView | LidarView
 
 
 @kernel
@@ -342,7 +342,7 @@ class Tracker:
 
         each(_predict, dt_s)
         for detections, view in sightings:
-            from_camera = isinstance(view, CameraView)
+            from_camera = isinstance(view, DepthView)
             each(_assign, detections, self._match, self._scores, self._contested)
             for b in np.flatnonzero(self._contested):
                 settle_contested(self._scores[b], self._match[b])

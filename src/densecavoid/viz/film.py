@@ -122,7 +122,10 @@ class Film:
         self._stage = _Stage(simulator, self._navigator.name, config)
         self._sink = open_sink(self.path, (config.width_px, config.height_px), simulator.config.control_dt_s)
         sensors = simulator.config
-        return Observer(ObserverConfig(lidar=sensors.lidar, camera=sensors.camera), simulator.num_worlds)
+        # What is shown is what a policy is shown; for those who see no people it is where people truly are.
+        people_from = getattr(self._navigator, "people_from", "truth")
+        observer = ObserverConfig(lidar=sensors.lidar, camera=sensors.camera, people_from=people_from)
+        return Observer(observer, simulator.num_worlds)
 
     def _take(self, observation: Observation, frame: SensorFrame, outcome: str | None) -> None:
         assert self._stage is not None and self._simulator is not None and self._sink is not None

@@ -21,7 +21,7 @@ from densecavoid.perception.detector.worlds import (
     training_rooms,
     training_worlds,
 )
-from densecavoid.perception.projection import body_box
+from densecavoid.perception.projection import body_box, camera_view
 from densecavoid.sim.floorplan import FloorPlan
 
 CAMERA = CameraConfig()
@@ -32,7 +32,7 @@ def test_a_level_cameras_box_is_the_prediction_frames():
     for _ in range(200):
         forward, left = rng.uniform(-1, 6), rng.uniform(-3, 3)
         radius, height = rng.uniform(0.2, 0.33), rng.uniform(1.5, 1.9)
-        expected = body_box(forward, left, radius, height, *CAMERA.focal_px, 80, 60, 0.4)
+        expected = body_box(forward, left, radius, height, camera_view(CAMERA))
         found = person_box(forward, left, radius, height, 0.0, 0.4, *CAMERA.focal_px, 80, 60)
         np.testing.assert_allclose(found, expected, atol=1e-9)
 
@@ -65,7 +65,7 @@ def only(views):
 
 def test_somebody_alone_is_seen_whole():
     box, share, place = only(view_of([(3.0, 0.4)]))
-    np.testing.assert_allclose(box, body_box(3.0, 0.4, 0.25, 1.7, *CAMERA.focal_px, 80, 60, 0.4), atol=1e-3)
+    np.testing.assert_allclose(box, body_box(3.0, 0.4, 0.25, 1.7, camera_view(CAMERA)), atol=1e-3)
     np.testing.assert_allclose(place, [3.0, 0.4], atol=1e-6)
     assert share > 0.97
 
