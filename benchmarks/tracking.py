@@ -18,10 +18,11 @@ from densecavoid.baselines import GoToGoal
 from densecavoid.perception.detector.worlds import training_worlds
 from densecavoid.perception.evaluation.tracker import Moment, TrackingRun, evaluate_tracker, record, summary
 from densecavoid.perception.evaluation.tracking_cost import tracking_cost
-from densecavoid.perception.evaluation.tracking_sources import NetworkSource, NoisyTruthSource
+from densecavoid.perception.evaluation.tracking_sources import NoisyTruthSource
+from densecavoid.perception.sources import ImageSource
 from densecavoid.perception.tracker import TrackerSettings
 
-SOURCES = {"network": NetworkSource, "noisy-truth": NoisyTruthSource}
+SOURCES = ("network", "noisy-truth")
 FACTORS = (0.5, 0.7, 1.4, 2.0)
 """By which each setting is changed in turn; those around 0 are moved by the same shares of a unit."""
 LEAST_GAIN = 5e-4
@@ -66,7 +67,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the figures")
     args = parser.parse_args()
     run = TrackingRun(args.worlds, args.steps, args.seed, not args.no_legs)
-    source = SOURCES[args.source](args.worlds, run.sim.camera)
+    make = {
+        "network": lambda: ImageSource(run.sim.camera, args.worlds),
+        "noisy-truth": lambda: NoisyTruthSource(args.worlds),
+    }
+    source = make[args.source]()
     start = time.perf_counter()
     if args.tune:
         moments = record(training_worlds(), GoToGoal(), source, run)

@@ -116,11 +116,29 @@ def _train_predictor(args: Sequence[str]) -> None:
     print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))
 
 
+def _fit_error_model(args: Sequence[str]) -> None:
+    """watch the detector at work and fit the errors that training gives true boxes"""
+    from densecavoid.perception.evaluation.error_fit import ErrorFit, fit_detector_errors
+
+    config = tyro.cli(ErrorFit, prog="densecavoid perceive fit-error-model", args=args)
+    print(f"{fit_detector_errors(config).source} -> {config.out}")
+
+
+def _evaluate_perception(args: Sequence[str]) -> None:
+    """measure detector, tracker, legs, predictors, prediction frame: tables, JSON and pictures"""
+    from densecavoid.baselines import GoToGoal
+    from densecavoid.perception.evaluation.report import EvaluateConfig, evaluate
+
+    evaluate(tyro.cli(EvaluateConfig, prog="densecavoid perceive evaluate", args=args), GoToGoal())
+
+
 PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
     "train-detector": _train_detector,
     "import-darknet": _import_darknet,
     "train-legs": _train_legs,
     "train-predictor": _train_predictor,
+    "fit-error-model": _fit_error_model,
+    "evaluate": _evaluate_perception,
 }
 """What `densecavoid perceive` can do."""
 

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool
 
-from densecavoid.frames import SensorFrame, Truth
+from densecavoid.frames import CameraConfig, SensorFrame, Truth
 from densecavoid.perception.config import PerceptionConfig
 from densecavoid.perception.detections import Detections, allocate_detections
 from densecavoid.perception.error_model import GHOSTS, DetectorErrors, error_tables, find_with_errors, load_errors
@@ -152,11 +152,11 @@ def _key(start: np.ndarray) -> np.ndarray:
 class ImageSource:
     """The network on each image: what a robot has."""
 
-    def __init__(self, config: PerceptionConfig, num_worlds: int, detector: str = "depth-yolo") -> None:
+    def __init__(self, camera: CameraConfig, num_worlds: int, detector: str = "depth-yolo") -> None:
         # Imported here so that what needs no network works where there is no ONNX Runtime.
         from densecavoid.perception.detector.detector import DepthDetector
 
-        self._detector = DepthDetector(detector, config.camera)
+        self._detector = DepthDetector(detector, camera)
         self._found = allocate_detections(num_worlds)
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
@@ -181,7 +181,7 @@ class ImageSource:
 def make_source(config: PerceptionConfig, num_worlds: int) -> PeopleSource | None:
     """The source that the configuration names; None for nothing."""
     if config.people_from == "detector":
-        return ImageSource(config, num_worlds)
+        return ImageSource(config.camera, num_worlds)
     if config.people_from == "boxes":
         return BoxSource(config, num_worlds)
     if config.people_from == "truth":

@@ -78,12 +78,17 @@ def _pixels(box: np.ndarray) -> tuple[float, float, float, float]:
 def main(args: Sequence[str] | None = None) -> None:
     """Draws the sheet."""
     config = tyro.cli(SheetConfig, prog="python -m densecavoid.viz.detections", args=args)
+    write_sheet(config)
+    print(config.out)
+
+
+def write_sheet(config: SheetConfig) -> None:
+    """Takes images in held-out worlds, looks at them, and writes the sheet."""
     detector = DepthDetector(config.detector)
     wanted = config.columns * config.rows
     views = take_views(held_out_worlds(), 8 * wanted, config.seed, ViewsConfig(detector.camera, vary_mount=False))
     views = views.rows(np.flatnonzero(views.num_people >= config.least_people)[:wanted])
     detection_sheet(views, look_at(views, detector), detector.camera, config.columns).save(config.out)
-    print(config.out)
 
 
 if __name__ == "__main__":

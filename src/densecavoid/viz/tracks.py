@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 from densecavoid.baselines import GoToGoal
 from densecavoid.frames import LidarConfig, choose, require
 from densecavoid.perception.evaluation.tracker import WITHIN_M, Followed, Moment, TrackingRun, follow, record
-from densecavoid.perception.evaluation.tracking_sources import NetworkSource
+from densecavoid.perception.sources import ImageSource
 from densecavoid.scenarios.registry import names
 from densecavoid.sim.config import SimConfig
 from densecavoid.viz import theme
@@ -127,7 +127,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sim = SimConfig(sensors="real")
     steps = round(config.columns * config.rows * config.every_s / sim.control_dt_s) + 1
     run = TrackingRun(worlds=1, steps=steps, seed=config.seed, sim=sim)
-    moments = record(config.scenario, GoToGoal(), NetworkSource(1, sim.camera), run)
+    moments = record(config.scenario, GoToGoal(), ImageSource(sim.camera, 1), run)
     tracks_sheet(moments, follow(moments, run), run, config).save(config.out)
     print(config.out)
 

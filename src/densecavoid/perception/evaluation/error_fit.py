@@ -70,7 +70,7 @@ def fit_detector_errors(config: ErrorFit) -> DetectorErrors:
 
     simulator = Simulator(training_worlds(), config.worlds, SimConfig(sensors="real", threads=config.threads))
     perception = PerceptionConfig(simulator.config.lidar, simulator.config.camera, people_from="detector")
-    source = ImageSource(perception, config.worlds, config.detector)
+    source = ImageSource(perception.camera, config.worlds, config.detector)
     everybody = np.ones(config.worlds, np.bool_)
     steps = -(-config.images // config.worlds)
     table = record_errors(

@@ -16,11 +16,11 @@ from jaxtyping import Bool, Float, Float32, Int
 from densecavoid.frames import Navigator, SensorFrame, Truth, require
 from densecavoid.perception.detections import Detections
 from densecavoid.perception.evaluation.legs import rays_on_legs
-from densecavoid.perception.evaluation.tracking_sources import Source
 from densecavoid.perception.legs import LegDetector
 from densecavoid.perception.metrics import MATCH_M, TrackingFrame, TrackingScores, pooled_scores, score_tracks
+from densecavoid.perception.sources import PeopleSource
 from densecavoid.perception.tracker import Sighting, Tracker, TrackerSettings
-from densecavoid.perception.visibility import camera_view, lidar_view
+from densecavoid.perception.visibility import depth_view, lidar_view
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.spec import Scenario
 from densecavoid.sim.world import SimConfig, Simulator
@@ -68,7 +68,7 @@ class Moment(NamedTuple):
     """Since somebody was last visible; inf: never yet."""
 
 
-def record(scenario: str | Scenario, navigator: Navigator, source: Source, run: TrackingRun) -> list[Moment]:
+def record(scenario: str | Scenario, navigator: Navigator, source: PeopleSource, run: TrackingRun) -> list[Moment]:
     """Drives robots through a scenario and keeps what they see.
 
     Args:
@@ -171,7 +171,7 @@ def follow(
     for step, moment in enumerate(moments):
         tracker.reset(moment.episode != episode)
         episode = moment.episode
-        sightings = [Sighting(moment.camera, camera_view(moment.depth_m, run.sim.camera))]
+        sightings = [Sighting(moment.camera, depth_view(moment.depth_m, run.sim.camera))]
         if moment.legs is not None:
             sightings.append(Sighting(moment.legs, lidar_view(moment.scan_m, run.sim.lidar)))
         tracks = tracker.update(moment.pose, run.sim.control_dt_s, sightings)
@@ -219,7 +219,7 @@ def summary(parts: Sequence[tuple[Sequence[Moment], TrackingRun]], settings: Tra
 
 def evaluate_tracker(
     navigator: Navigator,
-    source: Source,
+    source: PeopleSource,
     scenarios: Sequence[str] = TESTS,
     run: TrackingRun | None = None,
     settings: TrackerSettings | None = None,

@@ -12,7 +12,7 @@ from densecavoid.frames import CameraConfig, LidarConfig
 from densecavoid.perception.detections import Detections, allocate_detections
 from densecavoid.perception.legs import LegDetector
 from densecavoid.perception.tracker import Sighting, Tracker
-from densecavoid.perception.visibility import camera_view, lidar_view
+from densecavoid.perception.visibility import depth_view, lidar_view
 
 NUM_PEOPLE = (2, 4, 8, 16, 32)
 _SPACING_M = 0.75
@@ -75,7 +75,7 @@ def _tracker_us(
     places: Float[np.ndarray, "n 2"], worlds: int, repeats: int, lidar: LidarConfig, camera: CameraConfig
 ) -> float:
     rng, tracker, pose = np.random.default_rng(0), Tracker(worlds, 1), np.zeros((worlds, 3))
-    depth = camera_view(np.full((worlds, camera.height, camera.width), 4.99, np.float32), camera)
+    depth = depth_view(np.full((worlds, camera.height, camera.width), 4.99, np.float32), camera)
     scan = lidar_view(np.tile(scan_of_legs(places, lidar), (worlds, 1)), lidar)
 
     def found() -> Detections:
