@@ -49,7 +49,7 @@ def fit_place_error(views: Views, detector: DepthDetector, threshold: float) -> 
     Errors have long tails, where a neighbour's depth is taken for a person's; with a Gaussian's likelihood those few
     would decide how far all others are trusted.
     """
-    # With this as the whole error, the deviation claimed is the share hidden.
+    # With this as the whole error, the deviation claimed is what `hidden_m` is multiplied by.
     hidden_alone = PlaceError(floor_m=0.0, per_m2=0.0, unsure_m=0.0, hidden_m=1.0, cut_m=0.0)
     detector.card = dataclasses.replace(detector.card, place_error=hidden_alone)
     table = error_table(views, look_at(views, detector), threshold)

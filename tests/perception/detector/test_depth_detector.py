@@ -87,7 +87,7 @@ def test_the_table_of_errors_says_what_became_of_everybody(detector):
     assert np.isnan(table["along_m"][~table["detected"]]).all()
     hits = table["detected"]
     assert hits.sum() > 10 and np.isfinite(table["along_m"][hits]).all()
-    assert (np.hypot(table["along_m"], table["across_m"])[hits] < 1.0).all()
+    assert np.percentile(np.hypot(table["along_m"], table["across_m"])[hits], 90) < 0.2
     assert (table["confidence"][hits] >= detector.card.threshold).all()
     # From the other end: where each was said to be, and where they are.
     place = np.concatenate([views.place[n, :count] for n, count in enumerate(views.num_people)])

@@ -82,7 +82,8 @@ class OnnxDetector:
         )
         require(self.card.kind == kind, f"kind of {name_or_path}", self.card.kind, repr(kind))
         self.network = parse_config(self.card.network, str(name_or_path))
-        self._decode = Decoder(self.network, threshold or self.card.threshold, self.card.max_overlap)
+        least = self.card.threshold if threshold is None else threshold
+        self._decode = Decoder(self.network, least, self.card.max_overlap)
 
     def __call__(self, image: Float32[np.ndarray, "channels rows columns"]) -> Boxes:
         """Boxes in one encoded image."""

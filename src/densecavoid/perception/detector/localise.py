@@ -16,14 +16,22 @@ ADULT_RADIUS_M, ADULT_HEIGHT_M = 0.255, 1.71
 """Means (FACTS, Crowds), where a box does not tell."""
 _SURFACE_TO_AXIS_M = 0.09
 """From the middle of what is seen of a body to its axis; measured in simulated worlds."""
+_BODY_TRUST = 0.5
+"""Of what a box says about a body's size, against the mean of adults: the least-squares share in simulated worlds."""
 _CUT_PX = 1.0  # a box that ends so near the image's edge may go on beyond it
-_MIDDLE = 0.7  # share of the box's width in which depths are looked at: arms and gaps beside them are left out
+_MIDDLE = 0.7  # share of the box's width whose depths count fully; beyond it are arms and the gaps beside them
+_BESIDE_WEIGHT = 0.3  # of depths to either side of it: all that is seen of somebody half hidden
+_FARTHEST_OFF = 3.0  # a surface this many standard deviations from where it is expected is somebody else's
 _GROUND_M = 0.15  # what is lower may be ground
 _BIN_M = 0.1
 _NUM_BINS = 128
+_BODY_DEPTH_M = 0.35  # what lies so far from the middle of a body's surface, and in its box, is its too
 _SPREAD_BINS = 2  # a body's surface lies within so many bins of its middle
-# How well a box's edges tell the distance: standard deviations of its logarithm (body sizes), and of an edge (px).
-_WIDTH_LOG_STD, _HEIGHT_LOG_STD, _EDGE_STD_PX = 0.18, 0.08, 1.0
+_HEAD_ROOM_PX = 3.0  # heads so near the image's upper edge may be cut by it
+# How well a box's edges tell the distance: standard deviations of its logarithm by width, by height, of the whole at
+# least, and of an edge (px); measured in training worlds.
+_WIDTH_LOG_STD, _HEIGHT_LOG_STD, _LEAST_LOG_STD, _EDGE_STD_PX = 0.09, 0.05, 0.05, 0.6
+_WIDER = 1.04  # boxes of the network than the bodies in them
 
 
 @kernel
@@ -35,10 +43,10 @@ def _expected_distance(box, cut_left, cut_right, rows, focal_x, focal_y, camera_
     if not cut_left and not cut_right:
         share = 1.0 / _WIDTH_LOG_STD**2
         weight += share
-        total += share * math.log(2.0 * ADULT_RADIUS_M * focal_x / max(box[2] - box[0], 1.0))
+        total += share * math.log(2.0 * _WIDER * ADULT_RADIUS_M * focal_x / max(box[2] - box[0], 1.0))
     for foot in range(2):
         v = box[3] if foot else box[1]
-        if v < _CUT_PX or v > rows - _CUT_PX:
+        if v < _HEAD_ROOM_PX or v > rows - _CUT_PX:
             continue
         up = (0.5 * rows - v) / focal_y
         rise, ahead = up * cos - sin, cos + up * sin
@@ -54,34 +62,39 @@ def _expected_distance(box, cut_left, cut_right, rows, focal_x, focal_y, camera_
 
 
 @kernel
-def _surface_distance(depth, box, focal_y, camera_height, pitch, expected, deviation):
-    """Distance ahead of the camera (m) of the surface that fills the box's middle about where it is expected.
+def _surface_distance(depth, taken, box, focal_y, camera_height, pitch, expected, deviation):
+    """Distance ahead of the camera (m) of the surface that fills the box about where it is expected.
 
     Of the distances in the box the densest cluster is taken, weighted by how well it agrees with the expectation, so
-    that neither who stands before the person nor the wall behind is taken for them.
+    that neither who stands before the person nor the wall behind is taken for them. `taken` marks the pixels of surer
+    boxes' people, which do not count; this one's are added to it.
 
     Returns:
-        The distance, and the share of the box's middle that shows it; (expected, 0) where nothing has a depth.
+        The distance, the share of the box that shows it, and 0; where nothing near the expectation has a depth, the
+        distance expected of the surface, 0, and the expectation's standard deviation (m).
     """
     rows, width = depth.shape
     middle, half = 0.5 * (box[0] + box[2]), 0.5 * _MIDDLE * (box[2] - box[0])
-    first, last = max(0, int(middle - half)), min(width, math.ceil(middle + half))
+    first, last = max(0, int(box[0])), min(width, math.ceil(box[2]))
     top, bottom = max(0, int(box[1])), min(rows, math.ceil(box[3]))
     cos, sin = math.cos(pitch), math.sin(pitch)
     count, total = np.zeros(_NUM_BINS), np.zeros(_NUM_BINS)
+    whole = 0.0
     for r in range(top, bottom):
         up = (0.5 * rows - (r + 0.5)) / focal_y
         rise, ahead = up * cos - sin, cos + up * sin
         for c in range(first, last):
+            weight = 1.0 if abs(c + 0.5 - middle) <= half else _BESIDE_WEIGHT
+            whole += weight
             d = depth[r, c]
-            if not d > 0.0 or camera_height + d * rise < _GROUND_M:
+            if taken[r, c] or not d > 0.0 or camera_height + d * rise < _GROUND_M:
                 continue
             k = int(d * ahead / _BIN_M)
             if k < _NUM_BINS:
-                count[k] += 1.0
-                total[k] += d * ahead
-    spread = math.hypot(deviation, 0.1)
-    best, found, seen = 0.0, expected, 0.0
+                count[k] += weight
+                total[k] += weight * d * ahead
+    spread = math.hypot(deviation, _LEAST_LOG_STD)
+    best, found, seen = 0.0, expected - _SURFACE_TO_AXIS_M, 0.0
     for k in range(_NUM_BINS):
         near, sum_near = 0.0, 0.0
         for j in range(max(0, k - _SPREAD_BINS), min(_NUM_BINS, k + _SPREAD_BINS + 1)):
@@ -91,27 +104,36 @@ def _surface_distance(depth, box, focal_y, camera_height, pitch, expected, devia
             continue
         off = math.log(max(sum_near / near + _SURFACE_TO_AXIS_M, 1e-3) / expected) / spread
         score = near * math.exp(-0.5 * off * off)
-        if score > best:
+        if abs(off) < _FARTHEST_OFF and score > best:
             best, found, seen = score, sum_near / near, near
-    return found, seen / max(1, (last - first) * (bottom - top))
+    for r in range(top, bottom):
+        ahead = cos + (0.5 * rows - (r + 0.5)) / focal_y * sin
+        for c in range(first, last):
+            taken[r, c] |= abs(depth[r, c] * ahead - found) < _BODY_DEPTH_M
+    return found, seen / max(whole, 1.0), 0.0 if seen > 0.0 else deviation * expected
 
 
 @kernel
-def place_boxes(boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, low, high, place, body, shown, cut):
-    """Fills, for boxes [N, 4] of one depth image [rows, width] in m (NaN: none):
+def place_boxes(
+    boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, low, high, place, body, shown, guess, cut
+):
+    """Fills, for boxes [N, 4], surest first, of one depth image [rows, width] in m (NaN: none):
 
     place [N, 2] metres ahead and to the left of the robot's centre; body [N, 2] radius and height in m, NaN where the
-    image cuts them; shown [N] share of the box's middle that shows the person; cut [N] whether a side of the image cuts
-    the box.
+    image cuts them; shown [N] share of the box that shows the person; guess [N] standard deviation (m) of a distance
+    told by the box alone, 0 where a surface tells; cut [N] whether a side of the image cuts the box.
     """
     rows, width = depth.shape
+    taken = np.zeros((rows, width), np.bool_)
     for i in range(boxes.shape[0]):
         box = boxes[i]
         cut_left, cut_right = box[0] < _CUT_PX, box[2] > width - _CUT_PX
         expected, deviation = _expected_distance(
             box, cut_left, cut_right, rows, focal_x, focal_y, camera_height, pitch, low, high
         )
-        surface, shown[i] = _surface_distance(depth, box, focal_y, camera_height, pitch, expected, deviation)
+        surface, shown[i], guess[i] = _surface_distance(
+            depth, taken, box, focal_y, camera_height, pitch, expected, deviation
+        )
         # Sides of a box are tangents to the body's disc; where one is out of the image, the other tells.
         left, right = math.atan((0.5 * width - box[0]) / focal_x), math.atan((0.5 * width - box[2]) / focal_x)
         half = math.asin(min(1.0, ADULT_RADIUS_M / max(surface, ADULT_RADIUS_M)))
@@ -124,18 +146,28 @@ def place_boxes(boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, l
         cut[i] = cut_left or cut_right
         place[i, 0], place[i, 1] = forward + mount_x, forward * math.tan(bearing)
         distance = forward / math.cos(bearing)
-        body[i, 0] = np.nan if cut[i] else distance * math.sin(0.5 * (left - right))
+        radius = distance * math.sin(0.5 * (left - right))
+        body[i, 0] = np.nan if cut[i] else ADULT_RADIUS_M + _BODY_TRUST * (radius - ADULT_RADIUS_M)
         up = (0.5 * rows - box[1]) / focal_y
         ahead, rise = math.cos(pitch) + up * math.sin(pitch), up * math.cos(pitch) - math.sin(pitch)
-        body[i, 1] = np.nan if box[1] < _CUT_PX else camera_height + forward / ahead * rise
+        height = camera_height + forward / ahead * rise
+        body[i, 1] = np.nan if box[1] < _CUT_PX else ADULT_HEIGHT_M + _BODY_TRUST * (height - ADULT_HEIGHT_M)
 
 
 def place_std_m(
-    error: PlaceError, distance_m: np.ndarray, confidence: np.ndarray, shown: np.ndarray, cut: np.ndarray
+    error: PlaceError,
+    distance_m: np.ndarray,
+    confidence: np.ndarray,
+    shown: np.ndarray,
+    guess: np.ndarray,
+    cut: np.ndarray,
 ) -> np.ndarray:
-    """Standard deviation of x and of y of each place, as `PlaceError` says; arrays [N] as `place_boxes` fills them."""
-    terms = error.floor_m, error.per_m2 * distance_m**2, error.unsure_m * (1.0 - confidence)
-    more = error.hidden_m * (1.0 - shown), error.cut_m * cut
+    """Standard deviation of x and of y of each place, as `PlaceError` says, and what guesses add.
+
+    Arrays are [N], as `place_boxes` fills them.
+    """
+    terms = error.floor_m, error.per_m2 * distance_m**2, error.unsure_m * (1.0 - confidence), guess
+    more = error.hidden_m * (1.0 - shown) ** 3, error.cut_m * cut
     return np.sqrt(sum(np.square(term) for term in (*terms, *more)))
 
 
@@ -157,7 +189,7 @@ def localise(
     found = allocate_detections(1)
     count = min(len(boxes.confidence), found.pos.shape[1])
     place, body = np.empty((count, 2)), np.empty((count, 2))
-    shown, cut = np.empty(count), np.zeros(count, np.bool_)
+    shown, guess, cut = np.empty(count), np.empty(count), np.zeros(count, np.bool_)
     place_boxes(
         boxes.box[:count],
         depth_m,
@@ -170,6 +202,7 @@ def localise(
         place,
         body,
         shown,
+        guess,
         cut,
     )
     cos, sin = math.cos(odom_pose[2]), math.sin(odom_pose[2])
@@ -178,6 +211,6 @@ def localise(
     found.pos[0, :count, 1] = odom_pose[1] + sin * place[:, 0] + cos * place[:, 1]
     found.body[0, :count] = body
     found.confidence[0, :count] = boxes.confidence[:count]
-    found.std_m[0, :count] = place_std_m(error, distance, found.confidence[0, :count], shown, cut)
+    found.std_m[0, :count] = place_std_m(error, distance, found.confidence[0, :count], shown, guess, cut)
     found.count[0] = count
     return found
