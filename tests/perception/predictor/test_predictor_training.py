@@ -35,7 +35,7 @@ def circles(monkeypatch, tmp_path: Path) -> Path:
 
 def config(folder: Path, **changes) -> TrainPredictorConfig:
     return replace(
-        TrainPredictorConfig(data=folder, out=folder / "out", task="field", fold="zara1", steps=400, batch=128),
+        TrainPredictorConfig(data=folder, out=folder / "out", task="field", fold="zara1", steps=250, batch=128),
         **changes,
     )
 
@@ -49,7 +49,7 @@ def test_a_habit_is_learned_and_half_of_the_truths_are_in_the_half_ellipse(circl
         for each in (predictor, KalmanPredictor())
     )
     assert error < 0.5 * base
-    assert predictor.card.training["left_out"] == ["zara1"] and predictor.card.training["steps"] == 400
+    assert predictor.card.training["left_out"] == ["zara1"] and predictor.card.training["steps"] == 250
     card = (circles / "out" / "predictor-compact-field-without-zara1.json").read_text()
     assert '"fold"' not in card and '"seed": 0' in card
 
@@ -86,8 +86,8 @@ def test_loss_by_hand() -> None:
     horizons = torch.tensor([0.4, 0.8])
     gaussians = torch.tensor([[[0.0, 0.0, 0.5, 2.0, 0.0], [1.0, 1.0, 1.0, 1.0, 0.0]]])
     truth = torch.tensor([[[0.3, 0.4], [float("nan"), 0.0]]])
-    # One truth known: distance .5 m with weight 1 / (.1 + .4); the spread's part with log(.5) + log(2) = 0.
-    expected = 0.5 / 0.5 + 0.02 * 0.5 * (0.6**2 + 0.2**2)
+    # One truth known: distance .5 m with weight 1 / (.8 / 12 + .4); the spread's part with log(.5) + log(2) = 0.
+    expected = 0.5 / (0.8 / 12 + 0.4) + 0.05 * 0.5 * (0.6**2 + 0.2**2)
     assert float(loss_of(gaussians, truth, torch.tensor([3.0]), horizons)) == pytest.approx(expected, rel=1e-4)
 
 
@@ -98,7 +98,7 @@ def test_the_mean_does_not_follow_the_likelihood() -> None:
         torch.cat([mean, spread], dim=2), torch.tensor([[[1.0, 0.0]]]), torch.ones(1), torch.tensor([0.4])
     ).backward()
     assert mean.grad is not None and spread.grad is not None
-    np.testing.assert_allclose(mean.grad[0, 0], [-1.0 / 0.5, 0.0], atol=1e-4)
+    np.testing.assert_allclose(mean.grad[0, 0], [-1.0 / (0.4 / 12 + 0.4), 0.0], atol=1e-4)
     assert spread.grad[0, 0, 0] < 0  # wider would be likelier
 
 

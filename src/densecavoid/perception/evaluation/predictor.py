@@ -105,7 +105,7 @@ def robot_row(predictor: Predictor, windows: Windows) -> dict[str, Any]:
     required = _between(windows.density, low, high)
     chosen = Prediction(prediction.mean[required], prediction.covariance[required])
     inside = inside_half(chosen, windows.future[required])
-    likelihood = np.nanmean(negative_log_likelihood(chosen, windows.future[required]), axis=0)
+    likelihood = negative_log_likelihood(chosen, windows.future[required])
     row: dict[str, Any] = {
         "people": int(required.sum()),
         "fde3": _mean(error[required, -1]),
@@ -117,7 +117,7 @@ def robot_row(predictor: Predictor, windows: Windows) -> dict[str, Any]:
     for column, horizon in enumerate(ROBOT_HORIZONS_S):
         row[f"error_{horizon:g}"] = _mean(error[required, column])
         row[f"inside_50_{horizon:g}"] = round(float(inside[column]), 4)
-        row[f"nll_{horizon:g}"] = round(float(likelihood[column]), 3)
+        row[f"nll_{horizon:g}"] = _mean(likelihood[:, column])
     return row
 
 
@@ -223,6 +223,6 @@ def _between(density: Float[np.ndarray, "N"], low: float, high: float) -> Bool[n
     return (density >= low) & (density < high)
 
 
-def _mean(error: Float[np.ndarray, "..."]) -> float | None:
-    """Metres; None where nothing is known."""
-    return round(float(np.nanmean(error)), 4) if np.isfinite(error).any() else None
+def _mean(values: Float[np.ndarray, "..."]) -> float | None:
+    """None where nothing is known."""
+    return round(float(np.nanmean(values)), 4) if np.isfinite(values).any() else None

@@ -1,7 +1,8 @@
-"""A picture of prediction: a crowd from above with where people went and were expected, and errors by time and density."""
+"""A picture of prediction: a crowd from above, where people went and were expected, and errors by time and density."""
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +91,7 @@ def _draw_errors(axis: Any, table: dict[str, Any]) -> None:
 
 
 def _draw_densities(axis: Any, table: dict[str, Any]) -> None:
-    middle = [0.5 * (a + b) for a, b in zip(DENSITIES[:-1], DENSITIES[1:], strict=True)]
+    middle = [0.5 * (a + b) for a, b in itertools.pairwise(DENSITIES)]
     for colour, (name, row) in zip(_COLOURS, table.items(), strict=False):
         axis.plot(middle, list(row["by_density"].values()), "o-", color=colour, label=name)
     axis.set_title("1.2 s ahead, by density", fontsize=10, color=_INK)

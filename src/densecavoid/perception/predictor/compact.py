@@ -39,6 +39,9 @@ class CompactConfig:
 class CompactNetwork(nn.Module):
     """A small network over each neighbour, the maximum over neighbours, then two hidden layers."""
 
+    horizons: Tensor
+    scale: Tensor
+
     def __init__(self, config: CompactConfig) -> None:
         super().__init__()
         self.config = config

@@ -46,7 +46,10 @@ class Prediction(NamedTuple):
 class Predictor(Protocol):
     """One way of predicting. Stateless between calls."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """As in `registry.PREDICTORS` and in tables."""
+        ...
 
     def predict(self, histories: Histories, horizons_s: Sequence[float]) -> Prediction:
         """Where everybody will be.
@@ -71,7 +74,7 @@ def histories_of(
         ValueError: naming what does not fit, or rows of one group that do not adjoin.
     """
     require(period_s > 0, "period_s", period_s, "above 0 s")
-    finite = np.isfinite(pos).all(axis=2)
+    finite = np.all(np.isfinite(pos), axis=2)
     count = len(pos)
     group = np.zeros(count, np.int64) if group is None else group
     if count:

@@ -44,6 +44,8 @@ class RobustTPConfig:
 class RobustTP(nn.Module):
     """The whole network; inputs are those of `grids.GridFeatures`."""
 
+    horizons: Tensor
+
     def __init__(self, config: RobustTPConfig) -> None:
         super().__init__()
         self.config = config

@@ -47,7 +47,7 @@ from densecavoid.perception.predictor.windows import HERMES_TEST, HERMES_VALIDAT
 from densecavoid.scenarios.recordings import resolve_data
 
 _DECAY = 0.995  # of the moving average of weights, a step
-_LIKELIHOOD_WEIGHT = 0.02
+_LIKELIHOOD_WEIGHT = 0.05
 _WARM_UP = 200  # steps to the full learning rate
 _CHECKPOINT_EVERY = 250
 
@@ -158,8 +158,8 @@ def loss_of(gaussians: Tensor, truth: Tensor, weight: Tensor, horizons_s: Tensor
         gaussians: [N, S, 5] as `compact.gaussians` makes them.
         truth: [N, S, 2] the correction that would have been right, m.
         weight: [N] how much a track counts.
-        horizons_s: [S]. For a robot, distances at 1.2 s would drown those at .1 s: each is weighted by 1 / (.1 s + its
-            horizon). The field's 12 steps count alike.
+        horizons_s: [S]. The last distances would drown the first: each is weighted by one over its horizon and a
+            twelfth of the last.
     """
     known = torch.isfinite(truth).all(dim=2)
     miss = gaussians[..., :2] - torch.nan_to_num(truth)
@@ -169,7 +169,7 @@ def loss_of(gaussians: Tensor, truth: Tensor, weight: Tensor, horizons_s: Tensor
     rest = 1.0 - correlation.square()
     square = (z.square().sum(dim=2) - 2.0 * correlation * z[..., 0] * z[..., 1]) / rest
     likelihood = std.log().sum(dim=2) + 0.5 * rest.log() + 0.5 * square
-    evened = 1.0 / (0.1 + horizons_s) if len(horizons_s) < len(FIELD_HORIZONS_S) else torch.ones_like(horizons_s)
+    evened = 1.0 / (horizons_s[-1] / 12.0 + horizons_s)
     total = distance * evened + _LIKELIHOOD_WEIGHT * likelihood
     counted = known * weight[:, None]
     return (total * counted).sum() / counted.sum().clamp(min=1e-6)

@@ -36,7 +36,7 @@ TASKS = ("robot", "field")
 FIELD_HORIZONS_S = tuple(round(FIELD_PERIOD_S * step, 1) for step in range(1, FIELD_PREDICTED + 1))
 _ROBOT_AHEAD = tuple(round(horizon / ROBOT_PERIOD_S) for horizon in ROBOT_HORIZONS_S)
 _VALIDATION_SHARE = 0.08  # of each ETH/UCY file
-_CLEAN_SHARE = 0.3  # of a robot's batches that see the recorded places, without a tracker
+_CLEAN_SHARE = 0.4  # of a robot's batches that see the recorded places, without a tracker
 _FIELD_JITTER_M = 0.10
 _SCALES = {"robot": (-0.15, 0.15), "field": (-0.3, 0.5)}
 """Natural logarithm of how much larger a batch's world is: people of other sizes and speeds. The field's test scene
@@ -76,7 +76,7 @@ def _between_steps(places: np.ndarray) -> Windows:
     windows = cut(path, ROBOT_PERIOD_S, ROBOT_SAMPLES, _ROBOT_AHEAD, stride=fine)
     future = windows.future.copy()
     future[:, [ahead % fine != 0 for ahead in _ROBOT_AHEAD]] = np.nan  # not recorded
-    known = np.isfinite(future).all(axis=2).any(axis=1)
+    known: np.ndarray = np.any(np.all(np.isfinite(future), axis=2), axis=1)
     return replace(windows, future=future).subset(known)
 
 
@@ -107,7 +107,7 @@ def batches(windows: Windows, size: int, rng: np.random.Generator) -> Iterator[W
     rows: list[np.ndarray] = []
     count = 0
     for group in rng.permutation(len(starts)):
-        rows.append(np.arange(starts[group], stops[group]))
+        rows.append(np.arange(int(starts[group]), int(stops[group])))
         count += len(rows[-1])
         if count >= size:
             yield windows.subset(np.concatenate(rows))

@@ -113,7 +113,7 @@ def cut(
         density: around each person.
     """
     last = max(ahead) if complete else min(ahead)
-    known = np.isfinite(places).all(axis=2)
+    known: np.ndarray = np.all(np.isfinite(places), axis=2)
     rows: list[tuple[np.ndarray, ...]] = []
     for group, now in enumerate(range(seen - 1 if complete else 0, len(places) - last, stride)):
         steps = np.arange(now - seen + 1, now + 1)
@@ -133,7 +133,7 @@ def cut(
     pos, future, group, around = (np.concatenate(column) for column in zip(*rows, strict=True))
     return Windows(
         pos=pos.astype(np.float32),
-        valid=np.isfinite(pos).all(axis=2),
+        valid=np.all(np.isfinite(pos), axis=2),
         group=group.astype(np.int64),
         future=future.astype(np.float32),
         density=around.astype(np.float32),
