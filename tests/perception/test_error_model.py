@@ -50,7 +50,7 @@ def make_errors(**changes) -> DetectorErrors:
         across_shape=GAUSSIAN,
         lasting=(0.6, 0.7, 0.3),
         lasts_s=(0.8, 0.5, 1.5),
-        ghosts_per_image=0.1,
+        ghosts_per_image=0.03,
         ghost_lasts_s=0.4,
         ghost_confidence=0.4,
     )
@@ -97,8 +97,8 @@ def test_fit_finds_again_what_the_model_was_told(fitted):
     assert worst(fitted.confidence, told.confidence) < 0.04
     assert worst(fitted.height_std_m, told.height_std_m) < 0.02
     np.testing.assert_allclose(fitted.along_shape, GAUSSIAN, atol=0.2)
-    assert fitted.ghosts_per_image == pytest.approx(0.09, abs=0.03)  # some stand beside people
-    assert fitted.ghost_lasts_s == pytest.approx(0.4, abs=0.15)
+    assert fitted.ghosts_per_image == pytest.approx(0.027, abs=0.012)  # some stand beside people
+    assert fitted.ghost_lasts_s == pytest.approx(0.4, abs=0.2)
 
 
 def test_fit_finds_again_how_long_errors_last(fitted):

@@ -29,7 +29,7 @@ from densecavoid.sim.world import SimConfig, Simulator
 
 VISIBLE = (0.05, 0.15, 0.33, 0.6, 0.95)
 DISTANCE_M = (1.2, 1.6, 2.2, 3.0, 4.0, 5.0)
-MATCHED_M = 0.8
+MATCHED_M = 0.5
 """A detection farther from everybody is a false alarm."""
 _AROUND_M = 2.0
 _LAGS = (1, 2, 4, 8, 16)
