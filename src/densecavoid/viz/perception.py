@@ -43,12 +43,15 @@ class _Seen:
 
 
 def _look(pipeline: PeoplePipeline, scenario: str, steps: int, seed: int) -> _Seen:
+    """The moment in which most people are followed in the camera's view."""
     config = pipeline.config
     sim = Simulator(
         make_scenario(scenario), 1, SimConfig(lidar=config.lidar, camera=config.camera, sensors="real", threads=1)
     )
     which = np.ones(1, np.bool_)
+    slope = np.tan(config.camera.fov_horizontal_rad / 2)
     seen: _Seen | None = None
+    most = -1
     for frame, _, fresh in drive_about(sim, steps, seed):
         pipeline.reset(fresh)
         pipeline.update(frame, which)
@@ -59,6 +62,11 @@ def _look(pipeline: PeoplePipeline, scenario: str, steps: int, seed: int) -> _Se
         expected = expect_people(tracks, pipeline.predictor, config.horizons_s, which)
         sure = np.flatnonzero(tracks.confirmed[0])
         count = tracks.history_count[0]
+        ahead, left = in_robot_frame(tracks.state[0, sure, :2], pose).T
+        in_view = int(((ahead > config.camera.min_range_m) & (np.abs(left) < slope * ahead)).sum())
+        if in_view <= most:
+            continue
+        most = in_view
         turn = _turned(expected.covariance, -float(pose[2]))
         seen = _Seen(
             np.column_stack([places, truth.people.radius_m[0, active]]),
@@ -96,11 +104,12 @@ def tracks_from_above(
         path: of the picture (.png).
         pipeline: of one world.
         scenarios: their names.
-        steps: control steps until the picture is taken.
+        steps: control steps of which the most telling one is drawn.
         seed: of the worlds.
     """
-    figure = Figure((4.2 * len(scenarios), 9.4), facecolor=_colour(theme.PAGE), layout="constrained")
-    axes = figure.subplots(3, len(scenarios), squeeze=False, height_ratios=(2.6, 1.0, 1.0))
+    figure = Figure((4.2 * len(scenarios), 9.0), facecolor=_colour(theme.PAGE), layout="constrained")
+    figure.suptitle("people orange, their tracks black, where they are expected red (half of the time within)")
+    axes = figure.subplots(3, len(scenarios), squeeze=False, height_ratios=(2.0, 1.0, 1.0))
     for column, scenario in enumerate(scenarios):
         seen = _look(pipeline, scenario, steps, seed + column)
         plan, image, frame = axes[:, column]
@@ -141,7 +150,7 @@ def _draw_plan(axis: Axes, seen: _Seen, pipeline: PeoplePipeline) -> None:
     axis.add_patch(Circle((0, 0), 0.18, facecolor=_colour(theme.ROBOT)))
     axis.plot([0, 0], [0, 0.4], color=_colour(theme.ROBOT), linewidth=2)
     axis.set(xlim=(-_ASIDE_M, _ASIDE_M), ylim=(-_BEHIND_M, _AHEAD_M), aspect="equal", facecolor=_colour(theme.CARD))
-    axis.set_xlabel("people orange, tracks black, expected red (50 % ellipse); m")
+    axis.set_xlabel("m")
 
 
 def errors_by_distance(path: Path, table: ErrorTable) -> None:

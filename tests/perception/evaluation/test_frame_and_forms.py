@@ -63,13 +63,13 @@ def test_people_are_drawn_where_their_boxes_are():
 
 
 class Elsewhere:
-    """Foresees everybody three metres aside."""
+    """Foresees everybody fifty metres aside."""
 
     name = "elsewhere"
 
     def predict(self, histories, horizons_s) -> Prediction:
         mean, covariance = ConstantVelocity().predict(histories, horizons_s)
-        return Prediction(mean + np.array([0.0, 3.0]), covariance)
+        return Prediction(mean + np.array([0.0, 50.0]), covariance)
 
 
 def test_near_futures_are_foreseen_best_and_wrong_ones_score_little():
@@ -77,7 +77,7 @@ def test_near_futures_are_foreseen_best_and_wrong_ones_score_little():
     table = frame_table(evaluate_frames({"line": ConstantVelocity(), "aside": Elsewhere()}, config), config.horizons_s)
     assert table["line"]["iou_0.1"] > 0.85
     assert table["line"]["iou_0.1"] > table["line"]["iou_1.2"] > 0.3
-    assert table["aside"]["iou_0.1"] < 0.1
+    assert table["aside"]["iou_0.1"] < 0.02
 
 
 def test_driving_about_gives_the_same_episodes_again():
@@ -90,18 +90,19 @@ def test_driving_about_gives_the_same_episodes_again():
 
 @pytest.mark.slow
 def test_two_forms_follow_the_same_people_as_well_and_draw_the_same_frames():
-    """Measured with the shipped detector on 1,920 images: recall .937 (detector) and .922 (boxes), median error .022
-    and .027 m, 9 in 10 within .053 and .059 m, quartiles of the frame's IoU .65 .80 .88 and .59 .77 .87."""
+    """Measured with the shipped detector on 1,920 images: recall .970 (detector) and .978 (boxes), median error .020
+    and .025 m, 9 in 10 within .068 and .055 m, .081 and .065 false tracks an image, quartiles of the frame's IoU with
+    the truth's .66 .81 .89 and .65 .80 .89."""
     scores = compare_forms(FormsComparison(worlds=8, steps=60, seed=5))
     detector, boxes = scores["detector"].summary(), scores["boxes"].summary()
     bounds = {
-        "track_recall": 0.05,
+        "track_recall": 0.04,
         "error_median_m": 0.015,
         "error_90_m": 0.03,
-        "false_tracks_per_image": 0.06,
-        "frame_iou_mean": 0.06,
-        "frame_iou_25": 0.12,
-        "frame_iou_50": 0.06,
+        "false_tracks_per_image": 0.05,
+        "frame_iou_mean": 0.05,
+        "frame_iou_25": 0.1,
+        "frame_iou_50": 0.05,
         "frame_iou_75": 0.04,
     }
     for name, bound in bounds.items():
