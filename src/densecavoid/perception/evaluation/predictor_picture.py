@@ -14,8 +14,15 @@ from densecavoid.perception.predictor.calibration import INSIDE_HALF
 from densecavoid.perception.predictor.contract import ROBOT_HORIZONS_S, Predictor
 from densecavoid.perception.predictor.windows import Windows
 
-_COLOURS = ("#7b8794", "#2563eb", "#e8590c", "#168754", "#b5b9c0", "#93bef6")
-_INK, _PERSON = "#1f2933", "#f08a4b"
+_COLOURS = {
+    "constant-velocity": "#7b8794",
+    "constant-velocity over 1 s": "#b5b9c0",
+    "kalman": "#2563eb",
+    "kalman (.4 s)": "#93bef6",
+    "robust-tp": "#168754",
+    "compact": "#e8590c",
+}
+_INK, _PERSON, _EXPECTED = "#1f2933", "#f08a4b", "#2563eb"
 _EXAMPLES = ("constant-velocity", "robust-tp", "compact")
 
 
@@ -31,17 +38,18 @@ def draw_prediction_sheet(path: Path, windows: Windows, results: dict[str, Any])
 
     predictors = robot_predictors()
     shown = [name for name in _EXAMPLES if name in predictors]
-    figure, axes = plt.subplots(2, len(shown), figsize=(5.2 * len(shown), 9.5), height_ratios=(1.3, 1.0), squeeze=False)
+    figure = plt.figure(figsize=(15.0, 3.9 * len(shown) + 4.6), layout="constrained")
+    grid = figure.add_gridspec(len(shown) + 1, 3, height_ratios=[0.9] * len(shown) + [1.0])
     rows = _busiest(windows)
-    for axis, name in zip(axes[0], shown, strict=True):
+    for number, name in enumerate(shown):
+        axis = figure.add_subplot(grid[number, :])
         _draw_crowd(axis, windows, rows, predictors[name])
         axis.set_title(f"{name}: 1.2 s ahead, 50 % ellipses", fontsize=10, color=_INK)
-    _draw_errors(axes[1, 0], results["hermes"])
-    _draw_densities(axes[1, 1 % len(shown)], results["hermes"])
-    if len(shown) > 2:
-        _draw_errors(axes[1, 2], results["tracked"])
-        axes[1, 2].set_title("the same from tracks with a tracker's errors", fontsize=10, color=_INK)
-    figure.tight_layout()
+    recorded, tracked, density = (figure.add_subplot(grid[-1, column]) for column in range(3))
+    low, high = REQUIRED_DENSITIES
+    _draw_errors(recorded, results["hermes"], f"HERMES two-way, {low:g} to {high:g} people per m2")
+    _draw_errors(tracked, results["tracked"], "the same from tracks with a tracker's errors")
+    _draw_densities(density, results["hermes"])
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
@@ -70,19 +78,20 @@ def _draw_crowd(axis: Any, windows: Windows, rows: Int[np.ndarray, "M"], predict
         xx, xy, yy = prediction.covariance[n, -1]
         root = np.linalg.cholesky(np.array([[xx, xy], [xy, yy]]))
         ring = prediction.mean[n, -1][:, None] + root @ circle
-        axis.plot(ring[1], ring[0], color=_COLOURS[1], lw=1.2)
+        axis.plot(ring[1], ring[0], color=_EXPECTED, lw=1.2)
         way = np.concatenate([past[-1:], prediction.mean[n]])
-        axis.plot(way[:, 1], way[:, 0], color=_COLOURS[1], lw=1.2)
+        axis.plot(way[:, 1], way[:, 0], color=_EXPECTED, lw=1.2)
     axis.set_aspect("equal")
     axis.set_xlabel("along the corridor, m   (dots: now, crosses: 1.2 s later, blue: expected)", fontsize=8)
     axis.set_ylabel("across, m", fontsize=8)
 
 
-def _draw_errors(axis: Any, table: dict[str, Any]) -> None:
-    for colour, (name, row) in zip(_COLOURS, table.items(), strict=False):
-        axis.plot(ROBOT_HORIZONS_S, [row[f"error_{h:g}"] for h in ROBOT_HORIZONS_S], "o-", color=colour, label=name)
-    low, high = REQUIRED_DENSITIES
-    axis.set_title(f"HERMES two-way, {low:g} to {high:g} people per m2", fontsize=10, color=_INK)
+def _draw_errors(axis: Any, table: dict[str, Any], title: str) -> None:
+    for name, row in table.items():
+        axis.plot(
+            ROBOT_HORIZONS_S, [row[f"error_{h:g}"] for h in ROBOT_HORIZONS_S], "o-", color=_COLOURS[name], label=name
+        )
+    axis.set_title(title, fontsize=10, color=_INK)
     axis.set_xlabel("time ahead, s", fontsize=8)
     axis.set_ylabel("mean error, m", fontsize=8)
     axis.set_ylim(bottom=0)
@@ -92,8 +101,8 @@ def _draw_errors(axis: Any, table: dict[str, Any]) -> None:
 
 def _draw_densities(axis: Any, table: dict[str, Any]) -> None:
     middle = [0.5 * (a + b) for a, b in itertools.pairwise(DENSITIES)]
-    for colour, (name, row) in zip(_COLOURS, table.items(), strict=False):
-        axis.plot(middle, list(row["by_density"].values()), "o-", color=colour, label=name)
+    for name, row in table.items():
+        axis.plot(middle, list(row["by_density"].values()), "o-", color=_COLOURS[name], label=name)
     axis.set_title("1.2 s ahead, by density", fontsize=10, color=_INK)
     axis.set_xlabel("people per m2", fontsize=8)
     axis.set_ylabel("mean error, m", fontsize=8)

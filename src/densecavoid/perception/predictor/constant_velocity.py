@@ -18,7 +18,8 @@ class ConstantVelocity:
 
     over_s: float = 0.4
     position_std_m: float = 0.05
-    """Of a place now; with the next, fitted to HERMES two-way runs (`evaluation.predictor`, calibration)."""
+    """Of a place now. This and the next put about half of the truths into the 50 % ellipse for tracks with a tracker's
+    errors; for recorded places they are too wide."""
     speed_std: float = 0.2
     """m/s; grows the standard deviation linearly."""
     unknown_speed_std: float = 1.0

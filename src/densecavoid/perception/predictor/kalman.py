@@ -1,7 +1,5 @@
-"""A Kalman filter for each track: velocity wanders by white acceleration, places carry white noise.
-
-The axes share one 2 x 2 covariance. Model: Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2 (piecewise constant
-acceleration), the tracker's own.
+"""The tracker's Kalman filter over whole histories, and what it expects then: velocity wanders by white acceleration,
+places carry white noise.
 """
 
 from __future__ import annotations
@@ -12,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from densecavoid.frames import require
+from densecavoid.perception.kalman import kalman_correct, kalman_predict
 from densecavoid.perception.predictor.contract import Histories, Prediction, check_horizons
 from densecavoid.sim._jit import kernel
 
@@ -26,41 +25,22 @@ def filter_tracks(pos, valid, period_s, acceleration_std, measurement_std, speed
         states: out [N, H, 4] x, y, vx, vy after each step; NaN before the first valid place.
         covs: out [N, H, 3] variances of place, place-velocity, velocity.
     """
-    q, r, dt = acceleration_std * acceleration_std, measurement_std * measurement_std, period_s
+    state, cov = np.empty(4), np.empty(3)
     for n in range(pos.shape[0]):
         started = False
-        x = y = vx = vy = 0.0
-        pp = pv = vv = 0.0
         for h in range(pos.shape[1]):
             if started:
-                x += vx * dt
-                y += vy * dt
-                pp += 2.0 * dt * pv + dt * dt * vv + q * dt**4 / 4.0
-                pv += dt * vv + q * dt**3 / 2.0
-                vv += q * dt * dt
-            if valid[n, h]:
-                if started:
-                    gain_p, gain_v = pp / (pp + r), pv / (pp + r)
-                    miss_x, miss_y = pos[n, h, 0] - x, pos[n, h, 1] - y
-                    x += gain_p * miss_x
-                    y += gain_p * miss_y
-                    vx += gain_v * miss_x
-                    vy += gain_v * miss_y
-                    vv -= gain_v * pv
-                    pv *= 1.0 - gain_p
-                    pp *= 1.0 - gain_p
-                else:
-                    started = True
-                    x, y, vx, vy = pos[n, h, 0], pos[n, h, 1], 0.0, 0.0
-                    pp, pv, vv = r, 0.0, speed_std * speed_std
-            if started:
-                states[n, h, 0], states[n, h, 1], states[n, h, 2], states[n, h, 3] = x, y, vx, vy
-                covs[n, h, 0], covs[n, h, 1], covs[n, h, 2] = pp, pv, vv
-            else:
-                for k in range(4):
-                    states[n, h, k] = np.nan
-                for k in range(3):
-                    covs[n, h, k] = np.nan
+                kalman_predict(state, cov, period_s, acceleration_std)
+                if valid[n, h]:
+                    kalman_correct(state, cov, pos[n, h, 0], pos[n, h, 1], measurement_std)
+            elif valid[n, h]:
+                started = True
+                state[0], state[1], state[2], state[3] = pos[n, h, 0], pos[n, h, 1], 0.0, 0.0
+                cov[0], cov[1], cov[2] = measurement_std * measurement_std, 0.0, speed_std * speed_std
+            for k in range(4):
+                states[n, h, k] = state[k] if started else np.nan
+            for k in range(3):
+                covs[n, h, k] = cov[k] if started else np.nan
 
 
 @dataclass(frozen=True)

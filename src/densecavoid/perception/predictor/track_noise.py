@@ -13,8 +13,9 @@ from densecavoid.frames import require
 from densecavoid.perception.predictor.contract import Histories
 from densecavoid.perception.predictor.kalman import KalmanPredictor
 from densecavoid.perception.predictor.windows import Windows
+from densecavoid.perception.tracker import ACCELERATION_STD
 
-TRACKER_FILTER = KalmanPredictor(acceleration_std=1.0, measurement_std=0.05, speed_std=1.0)
+TRACKER_FILTER = KalmanPredictor(acceleration_std=ACCELERATION_STD, measurement_std=0.05, speed_std=1.0)
 """The tracker's Kalman filter."""
 _BIAS_TIME_S = 0.5  # a person's visible side changes over about a step
 _SWITCH_REACH_M = 1.0
@@ -68,7 +69,7 @@ def as_tracked(windows: Windows, noise: TrackNoise, rng: np.random.Generator) ->
 
 
 def jittered(windows: Windows, std_m: float, rng: np.random.Generator) -> Windows:
-    """White noise on the places of half the tracks, mostly little, a standard deviation each of up to `std_m`; no tracker.
+    """White noise on the places of half the tracks, without a tracker: mostly little, up to `std_m`.
 
     Recordings differ: clicked tracks are smooth, others jump by centimetres, and what is right for one is wrong for the
     other. With both before it, a network learns to tell them apart.
