@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
@@ -12,6 +12,7 @@ from densecavoid.perception.detections import MAX_DETECTIONS, Detections, alloca
 from densecavoid.perception.truth_detector import detect_from_truth
 
 
+@runtime_checkable
 class Source(Protocol):
     """Finds people in each world's image."""
 
