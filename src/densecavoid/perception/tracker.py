@@ -31,8 +31,6 @@ TYPICAL_BODY = (0.255, 1.71)
 _LEAST_STD_M = 0.02
 _FARTHEST_M = 1e4  # what is reported farther from the origin is no position
 _INSEPARABLE_M = 0.3  # nearer than that people do not stand (first percentile of neighbours' distances in crowds)
-_MOVED_M, _MOVING = 0.5, 0.25  # m and m/s from which a track of legs alone is a person's: furniture stands
-_STEADY = 0.5  # share of a moving track's way that leads on; what flickers between things goes to and fro
 _UNUSABLE = -3  # in place of a track: beside assignment.NOBODY and CONTESTED
 _SAME_PERSON_M = 0.5  # a leg so near to a tracked person is theirs
 
@@ -64,6 +62,12 @@ class TrackerSettings(NamedTuple):
     most_missed: float = 0.7
     """Of people whom a sensor ought to see, the share of which a single miss convinces."""
     max_unseen_s: float = MAX_UNSEEN_S
+    moved_m: float = 0.5
+    """How far a track of legs alone must come to be a person's: furniture stands."""
+    moving: float = 0.25
+    """m/s, how fast it must be."""
+    steady: float = 0.5
+    """Share of its way that must lead on: what flickers between things goes to and fro."""
 
 
 class Sighting(NamedTuple):
@@ -272,17 +276,17 @@ def _take_in_all(first, last, which, tracks, settings, detections, match, chance
 
 
 @inner
-def _walks(tracks, b, t):
+def _walks(tracks, settings, b, t):
     """Whether a track has come so far, so straight, that it is no piece of furniture."""
     count = tracks.history_count[b, t]
-    if count < 5 or math.hypot(tracks.state[b, t, 2], tracks.state[b, t, 3]) < _MOVING:
+    if count < 5 or math.hypot(tracks.state[b, t, 2], tracks.state[b, t, 3]) < settings.moving:
         return False
     history, way = tracks.history[b, t], 0.0
     for k in range(HISTORY - count + 1, HISTORY):
         way += math.hypot(history[k, 0] - history[k - 1, 0], history[k, 1] - history[k - 1, 1])
     first = HISTORY - count
     moved = math.hypot(history[HISTORY - 1, 0] - history[first, 0], history[HISTORY - 1, 1] - history[first, 1])
-    return moved > _MOVED_M and moved > _STEADY * way
+    return moved > settings.moved_m and moved > settings.steady * way
 
 
 @kernel
@@ -305,7 +309,7 @@ def _judge(first, last, which, tracks, settings, dt):
                     remember(tracks, b, t, max(ago, 0.0))
                 ago -= HISTORY_DT_S
             if tracks.existence[b, t] > settings.confirmed and not tracks.confirmed[b, t]:
-                tracks.confirmed[b, t] = tracks.by_camera[b, t] or _walks(tracks, b, t)
+                tracks.confirmed[b, t] = tracks.by_camera[b, t] or _walks(tracks, settings, b, t)
         while tracks.clock_s[b] > HISTORY_DT_S - 1e-6:
             tracks.clock_s[b] = max(tracks.clock_s[b] - HISTORY_DT_S, 0.0)
 

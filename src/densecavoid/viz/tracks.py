@@ -33,7 +33,7 @@ _TRACK_M = 0.33
 class TracksConfig:
     """Settings of the sheet."""
 
-    out: Path
+    out: tyro.conf.Positional[Path]
     """Where the picture goes."""
     scenario: str = "dense-ped"
     seed: int = 20_000
@@ -72,7 +72,8 @@ def tracks_panel(
     for person, place in zip(moment.person[0].tolist(), moment.person_pos[0], strict=True):
         if person >= 0 and np.abs(place - pose[:2]).max() < 0.5 * width_m:
             counts = person in now.person
-            canvas.disc(place, 0.25, theme.PERSON if counts else theme.CARD, theme.PERSON_EDGE)
+            fill, edge = (theme.PERSON, theme.PERSON_EDGE) if counts else (theme.GRID, theme.MUTED)
+            canvas.disc(place, 0.25, fill, edge)
     recent = followed[-max(1, round(TRAIL_S / dt_s)) :]
     for track, place in zip(now.track.tolist(), now.track_pos, strict=True):
         colour = _COLOURS[track % len(_COLOURS)]
@@ -94,7 +95,7 @@ def tracks_panel(
 def tracks_sheet(
     moments: Sequence[Moment], followed: Sequence[Followed], run: TrackingRun, config: TracksConfig
 ) -> Image.Image:
-    """Panels of the first episode of a recording of one world, with a legend."""
+    """Panels of the longest episode of a recording of one world, with a legend."""
     dt = run.sim.control_dt_s
     size, legend = config.panel_px, ("person who counts", "other person", "track, its number and way")
     page = Image.new("RGB", _page_size(config), theme.PAGE)
@@ -104,12 +105,14 @@ def tracks_sheet(
         zip((*legend, "found by the camera", "found by the lidar"), colours, strict=True)
     ):
         draw.text((_GAP + 240 * k, 7), text, colour, theme.font(16))
-    first = [one for one in followed if one.episode == followed[0].episode]
+    numbers = [one.episode for one in followed]
+    longest = [one for one in followed if one.episode == max(set(numbers), key=numbers.count)]
     for n in range(config.columns * config.rows):
         step = round((n + 1) * config.every_s / dt)
-        if step >= len(first):
+        if step >= len(longest):
             break
-        panel = tracks_panel(moments[step], first[: step + 1], run.sim.lidar, dt, size)
+        so_far = longest[: step + 1]
+        panel = tracks_panel(moments[so_far[-1].step], so_far, run.sim.lidar, dt, size)
         ImageDraw.Draw(panel).text((8, 6), f"{step * dt:.1f} s", theme.MUTED, theme.font(14))
         row, column = divmod(n, config.columns)
         page.paste(panel, (_GAP + column * (size + _GAP), _LEGEND_PX + row * (size + _GAP)))
@@ -125,7 +128,8 @@ def main(args: Sequence[str] | None = None) -> None:
     """Draws the sheet."""
     config = tyro.cli(TracksConfig, prog="python -m densecavoid.viz.tracks", args=args)
     sim = SimConfig(sensors="real")
-    steps = round(config.columns * config.rows * config.every_s / sim.control_dt_s) + 1
+    # Several episodes' worth: some end soon.
+    steps = 3 * round(config.columns * config.rows * config.every_s / sim.control_dt_s)
     run = TrackingRun(worlds=1, steps=steps, seed=config.seed, sim=sim)
     moments = record(config.scenario, GoToGoal(), ImageSource(sim.camera, 1), run)
     tracks_sheet(moments, follow(moments, run), run, config).save(config.out)
