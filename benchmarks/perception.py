@@ -195,10 +195,11 @@ def _parts_of_a_step() -> dict[str, float]:
     pipeline = PeoplePipeline(PerceptionConfig(people_from="boxes", threads=1), WORLDS)
     source = pipeline.source
     assert source is not None
+    frame = sim.sense()
     for _ in range(20):
-        frame = sim.sense()
         pipeline.update(frame, which)
         sim.step(Command(np.full(WORLDS, 0.3, np.float32), np.zeros(WORLDS, np.float32)))
+        frame = sim.sense()
     found, legs = source.find(frame, which), pipeline.find_legs(frame, which)
     expected = expect_people(pipeline.tracks, pipeline.predictor, (0.8,), which)
     calls: dict[str, Callable[[], object]] = {
@@ -212,7 +213,7 @@ def _parts_of_a_step() -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", type=Path, help="where to write the results")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
     parser.add_argument("--predictor", default=PerceptionConfig().predictor)

@@ -111,7 +111,7 @@ def share_free(camera, people, covariance, throws=1500):
     free = np.ones((camera.height, camera.width))
     for x, y, radius, height in people:
         dice = np.array([x, y]) + rng.standard_normal((throws, 2)) @ spread.T
-        free *= 1 - np.mean([meets(camera, POSE, *die, radius, height) for die in dice], axis=0)
+        free *= 1 - np.mean([meets(camera, POSE, die[0], die[1], radius, height) for die in dice], axis=0)
     return free
 
 

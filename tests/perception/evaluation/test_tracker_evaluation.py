@@ -49,7 +49,7 @@ def test_who_is_far_or_was_never_visible_does_not_count_nor_do_tracks_of_them():
 @pytest.mark.parametrize("name", ["missed", "std_m", "false_per_image"])
 def test_impossible_errors_are_refused(name):
     with pytest.raises(ValueError, match=name):
-        NoisyTruthSource(1, **{name: -0.1})
+        NoisyTruthSource(1, **{name: -0.1})  # pyright: ignore[reportArgumentType]
 
 
 def test_perfect_eyes_lose_nobody_in_view_and_blind_ones_find_nobody():

@@ -163,7 +163,7 @@ class _Drive:
             if len(waiting) < self._steps_ahead[horizon]:
                 continue
             then, images, known = waiting.popleft()
-            for b in np.flatnonzero(then == episode):
+            for b in np.flatnonzero(then == episode).tolist():
                 asked = np.isin(truth.people.id[b], list(known[b])) & truth.people.active[b]
                 pose = truth.robot_pose_w[b]
                 true = draw_people(truth.people, b, asked, pose, self._sim.config.camera, self._view)
