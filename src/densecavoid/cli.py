@@ -61,6 +61,15 @@ def _train(args: Sequence[str]) -> None:
     print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
+def _train_predictor(args: Sequence[str]) -> None:
+    """train what foresees where people will be; a run that was cut off goes on"""
+    try:
+        from densecavoid.perception.predictor.training import TrainPredictorConfig, train_predictor
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
+    print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))
+
+
 def _train_legs(args: Sequence[str]) -> None:
     """train the classifier of legs in lidar scans"""
     from densecavoid.perception.leg_training import LegTrainingConfig, train_legs
@@ -111,6 +120,7 @@ PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
     "train-detector": _train_detector,
     "import-darknet": _import_darknet,
     "train-legs": _train_legs,
+    "train-predictor": _train_predictor,
 }
 """What `densecavoid perceive` can do."""
 
