@@ -6,11 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from densecavoid.baselines import GoToGoal
+from densecavoid.benchmark.oracle import Oracle
 from densecavoid.frames import Navigator, RobotConfig, choose
 
 
 def _go_to_goal(robot: RobotConfig) -> Navigator:
     return GoToGoal(robot)
+
+
+def _oracle(robot: RobotConfig) -> Navigator:
+    return Oracle()
 
 
 def _densecavoid(robot: RobotConfig) -> Navigator:
@@ -27,6 +32,7 @@ def _policy(name: str | Path) -> Navigator:
 _NAVIGATORS: dict[str, Callable[[RobotConfig], Navigator]] = {
     "densecavoid": _densecavoid,
     "go-to-goal": _go_to_goal,
+    "oracle": _oracle,
 }
 
 
