@@ -77,7 +77,7 @@ def test_the_future_is_what_happens_around_a_robot_that_drives(name):
         if simulator.done[0]:
             break
         np.testing.assert_array_equal(solid_bodies(simulator, 0).astype(np.float32), future.bodies[2 * k + 1])
-    assert k > 20
+    assert simulator.time_s[0] > 2.0
 
 
 class Blocked:

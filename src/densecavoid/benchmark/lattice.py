@@ -21,9 +21,11 @@ CELL_M = 0.05
 _HALF_DIAGONAL = CELL_M * math.sqrt(0.5)
 
 COMMANDS = np.array(
-    [(1.0, 0.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0), (1.0, -1.0)]
-    + [(0.6, 0.0), (0.6, 1.0), (0.6, -1.0), (0.3, 0.0), (0.3, 1.0), (0.3, -1.0)]
-    + [(0.0, 1.0), (0.0, -1.0), (0.0, 0.0)]
+    [
+        *((1.0, turn) for turn in (0.0, 0.5, -0.5, 1.0, -1.0)),
+        *((speed, turn) for speed in (0.6, 0.3) for turn in (0.0, 1.0, -1.0)),
+        *((0.0, turn) for turn in (1.0, -1.0, 0.0)),
+    ]
 )
 """Linear and angular velocity as shares of the robot's greatest; of two that lead to one cell the first is kept."""
 
@@ -79,10 +81,7 @@ def shortest_ways(free, goal_i, goal_j, cell):
                     b = min(out[i, j - 1] if j > 0 else np.inf, out[i, j + 1] if j + 1 < columns else np.inf)
                     if a == np.inf and b == np.inf:
                         continue
-                    if a == np.inf or b == np.inf:
-                        distance = min(a, b) + cell
-                    else:
-                        distance = _eikonal(a, b, cell)
+                    distance = _eikonal(a, b, cell)
                     if distance < out[i, j] - 1e-3 * cell:
                         out[i, j] = distance
                         changed = True

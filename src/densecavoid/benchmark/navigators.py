@@ -5,21 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from densecavoid.baselines import GoToGoal
+from densecavoid.baselines import Dwa, Frozone, GoToGoal, Orca, SocialForce
 from densecavoid.benchmark.oracle import Oracle
 from densecavoid.frames import Navigator, RobotConfig, choose
-
-
-def _go_to_goal(robot: RobotConfig) -> Navigator:
-    return GoToGoal(robot)
-
-
-def _oracle(robot: RobotConfig) -> Navigator:
-    return Oracle()
-
-
-def _densecavoid(robot: RobotConfig) -> Navigator:
-    return _policy("densecavoid")
 
 
 def _policy(name: str | Path) -> Navigator:
@@ -30,9 +18,14 @@ def _policy(name: str | Path) -> Navigator:
 
 
 _NAVIGATORS: dict[str, Callable[[RobotConfig], Navigator]] = {
-    "densecavoid": _densecavoid,
-    "go-to-goal": _go_to_goal,
-    "oracle": _oracle,
+    "densecavoid": lambda robot: _policy("densecavoid"),
+    "frozone": lambda robot: Frozone(_policy("densecavoid"), robot),
+    "dwa": Dwa,
+    "social-force": SocialForce,
+    "orca": Orca,
+    "orca-privileged": lambda robot: Orca(robot, source="truth"),
+    "go-to-goal": GoToGoal,
+    "oracle": lambda robot: Oracle(),
 }
 
 

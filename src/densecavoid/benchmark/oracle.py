@@ -38,7 +38,7 @@ class Oracle:
         require(is_filtered(scenario, config), "scenario", scenario.name, "people who do not react, for the oracle")
         if len(self._plans) != len(which):
             self._plans = [np.zeros((0, 2))] * len(which)
-        for b in np.flatnonzero(which):
+        for b in np.flatnonzero(which).tolist():
             plan = judgement_of(scenario, int(seeds[b]), config).plan
             self._plans[b] = np.zeros((0, 2)) if plan is None else plan.commands
 

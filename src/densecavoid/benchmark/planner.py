@@ -216,13 +216,11 @@ def _driven(simulator: Simulator, seed: int, commands: Float[np.ndarray, "K 2"])
     # A command may travel as float32 (`frames.Command`).
     commands = commands.astype(np.float32).astype(np.float64)
     simulator.reset(np.array([seed]))
-    for k in range(len(commands)):
-        simulator.step(_command(commands[k]))
-        if simulator.done[0]:
-            break
-    if not simulator.succeeded[0]:
-        return None
-    return Plan(commands[: k + 1], float(simulator.time_s[0]))
+    driven = 0
+    while driven < len(commands) and not simulator.done[0]:
+        simulator.step(_command(commands[driven]))
+        driven += 1
+    return Plan(commands[:driven], float(simulator.time_s[0])) if simulator.succeeded[0] else None
 
 
 def _command(velocities: Float[np.ndarray, "2"]) -> Command:
