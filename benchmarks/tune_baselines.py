@@ -1,7 +1,7 @@
 """Tunes a classical navigator by random search: `python benchmarks/tune_baselines.py orca --candidates 30`.
 
 Worlds are of training scenarios and places, never of tests. All candidates drive in some worlds, the better third of
-them in more; the defaults in the source are what this printed. Goes on where it was stopped (`--out`).
+them in more. Goes on where it was stopped (`--out`).
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ NAVIGATORS: dict[str, tuple[Any, Callable[[Any], Navigator], Ranges]] = {
             "heading": (0.1, 1.5),
             "clearance": (0.2, 2.0),
             "speed": (0.02, 0.5),
+            "detour": (0.5, 4.0),
         },
     ),
     "social-force": (
@@ -106,7 +107,7 @@ def score(navigator: Navigator, seeds: range) -> dict[str, float]:
     """Success in each scenario."""
     rates = {}
     for scenario in SCENARIOS:
-        simulator = Simulator(scenario, 16, SimConfig(threads=1))
+        simulator = Simulator(scenario, min(16, len(seeds)), SimConfig(threads=1))
         figures = [episode_metrics(episode) for episode in run_episodes(simulator, navigator, seeds)]
         rates[scenario.name] = float(np.mean([figure.success for figure in figures]))
     return rates

@@ -2,7 +2,9 @@
 
 Arcs of constant velocities are followed some seconds ahead among the points of the present scan, which are taken to
 stand still. Of those from which the robot can still stop, the one with the best sum of progress, heading, clearance and
-speed is driven for one control step.
+speed is driven for one control step. Progress and heading are towards the goal, or, where the straight way there is
+not free, towards the end of the free straight way that deviates least: alone, the method stands still before whatever
+is broader than it can see past.
 """
 
 from __future__ import annotations
@@ -20,8 +22,8 @@ from densecavoid.sim._jit import kernel
 
 @dataclass(frozen=True)
 class DwaConfig:
-    """Weights of the objective, and what is sampled. The defaults are the best of a random search on training worlds
-    and places (`python benchmarks/tune_baselines.py dwa`)."""
+    """Weights of the objective, and what is sampled. Set by hand; `python benchmarks/tune_baselines.py dwa` looks for
+    better ones on training worlds and places."""
 
     horizon_s: float = 2.5
     """So far ahead arcs are followed."""
@@ -44,6 +46,10 @@ class DwaConfig:
     """Of how near it comes to a point, from 0 at `comfort_m` to 1 at `keep_m`."""
     speed: float = 0.2
     """Of what lacks of the greatest speed."""
+    look_m: float = 1.6
+    """So long a straight way is free enough."""
+    detour: float = 3.0
+    """rad of deviation from the goal that a straight way of `look_m` is worth, beside none."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -56,6 +62,37 @@ class DwaConfig:
 
 
 _SECTORS = 96
+_BEARINGS = 49
+_WIDEST = 2.0  # rad to either side: nearly all that a lidar of 240 degrees sees
+
+
+@kernel
+def free_direction(points, count, goal_x, goal_y, keep, look, detour):
+    """A place to drive to, straight and free, near the way to the goal: x and y in the robot's frame.
+
+    Args:
+        points: [count or more, 2] of what is in the way.
+        keep: half the width that must be free.
+    """
+    distance, towards = math.sqrt(goal_x * goal_x + goal_y * goal_y), math.atan2(goal_y, goal_x)
+    look = min(look, distance)
+    best, best_bearing, best_free = np.inf, towards, distance
+    for k in range(_BEARINGS + 1):
+        bearing = towards if k == _BEARINGS else _WIDEST * (2.0 * k / (_BEARINGS - 1) - 1.0)
+        cos, sin = math.cos(bearing), math.sin(bearing)
+        free = look
+        for n in range(count):
+            along, aside = cos * points[n, 0] + sin * points[n, 1], cos * points[n, 1] - sin * points[n, 0]
+            if along > 0.0 and abs(aside) < keep:
+                free = min(free, max(along - math.sqrt(keep * keep - aside * aside), 0.0))
+        off = abs((bearing - towards + math.pi) % (2.0 * math.pi) - math.pi)
+        # A little for turning at all, so that the robot does not waver between two ways.
+        cost = off + detour * (1.0 - free / look) + 0.15 * abs(bearing)
+        if cost < best:
+            best, best_bearing, best_free = cost, bearing, free
+    # Who must turn looks that way, however little is free there.
+    reach = distance if best_bearing == towards and best_free >= look else max(best_free, 0.5)
+    return reach * math.cos(best_bearing), reach * math.sin(best_bearing)
 
 
 @kernel
@@ -69,9 +106,9 @@ def best_arcs(
         goal: f64 [B, 2] in the robot's frame.
         velocity: f64 [B, 2] at present.
         samples: numbers of linear and angular velocities.
-        shape: keep, comfort (m), and the weights of progress, heading, clearance, speed.
+        shape: keep, comfort (m), the weights of progress, heading, clearance, speed, and look (m) and detour (rad).
     """
-    keep, comfort, w_progress, w_heading, w_clearance, w_speed = shape
+    keep, comfort, w_progress, w_heading, w_clearance, w_speed, look, detour = shape
     num_linear, num_angular = samples
     near = np.empty((points.shape[1], 2))
     steps = int(horizon / step + 0.5)
@@ -90,7 +127,7 @@ def best_arcs(
         high_v = min(max_linear, velocity[b, 0] + linear_acc * window)
         low_w = max(-max_angular, velocity[b, 1] - angular_acc * window)
         high_w = min(max_angular, velocity[b, 1] + angular_acc * window)
-        goal_x, goal_y = goal[b, 0], goal[b, 1]
+        goal_x, goal_y = free_direction(near, count, goal[b, 0], goal[b, 1], keep, look, detour)
         before = math.sqrt(goal_x * goal_x + goal_y * goal_y)
         bearing = math.atan2(goal_y, goal_x)
         # With no arc to be had: stop, and turn towards the goal.
@@ -172,7 +209,16 @@ class Dwa:
             config.step_s,
             config.window_s,
             (config.linear_samples, config.angular_samples),
-            (config.keep_m, config.comfort_m, config.progress, config.heading, config.clearance, config.speed),
+            (
+                config.keep_m,
+                config.comfort_m,
+                config.progress,
+                config.heading,
+                config.clearance,
+                config.speed,
+                config.look_m,
+                config.detour,
+            ),
             out,
         )
         return Command(out[:, 0].astype(np.float32), out[:, 1].astype(np.float32))

@@ -20,8 +20,8 @@ from densecavoid.sim._jit import kernel
 
 @dataclass(frozen=True)
 class FrozoneConfig:
-    """The zone and the turn. The defaults are the best of a random search on training worlds and places
-    (`python benchmarks/tune_baselines.py frozone`); the paper does not print its own."""
+    """The zone and the turn. Set by hand, as the paper does not print its own; `python benchmarks/tune_baselines.py
+    frozone` looks for better ones on training worlds and places."""
 
     square_m: float = 3.5
     """People up to so far ahead, and half as far to either side, count (the paper's side of the square)."""

@@ -24,8 +24,8 @@ from densecavoid.sim.crowds.orca import avoid_disc, nearest_velocity
 
 @dataclass(frozen=True)
 class OrcaConfig:
-    """Horizons and sizes. The defaults are the best of a random search on training worlds and places
-    (`python benchmarks/tune_baselines.py orca`)."""
+    """Horizons and sizes. Set by hand; `python benchmarks/tune_baselines.py orca` looks for better ones on training
+    worlds and places."""
 
     horizon_s: float = 4.0
     """Collisions with people within this time are avoided,"""

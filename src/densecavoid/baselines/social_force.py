@@ -17,8 +17,8 @@ from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, 
 @dataclass(frozen=True)
 class SocialForceConfig:
     """Strengths and ranges of the forces. Those of walking people (paper, section II) are far too short for a robot
-    that turns at .4 rad/s; the defaults are the best of a random search on training worlds and places
-    (`python benchmarks/tune_baselines.py social-force`)."""
+    that turns at .4 rad/s; these are set by hand, and `python benchmarks/tune_baselines.py social-force` looks for
+    better ones on training worlds and places."""
 
     relaxation_s: float = 0.5
     """tau: in which the velocity becomes the wished one."""
