@@ -65,7 +65,11 @@ class PeopleAround:
         self._observer.observe(frame)
         tracks = self._observer.tracks
         return _seen_from(
-            frame.odom_pose, tracks.state[..., :2], tracks.state[..., 2:], tracks.body[..., 0], tracks.hits > 0
+            frame.odom_pose,
+            tracks.state[..., :2],
+            tracks.state[..., 2:],
+            tracks.body[..., 0],
+            tracks.live & tracks.confirmed,
         )
 
 
