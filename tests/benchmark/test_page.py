@@ -27,7 +27,7 @@ class Reader(HTMLParser):
         super().__init__()
         self.open: list[str] = []
         self.text: list[str] = []
-        self.links: list[str] = []
+        self.links: list[str | None] = []
 
     def handle_starttag(self, tag, attrs):
         if tag not in ("meta", "br", "input", "line", "circle", "polyline"):

@@ -3,6 +3,7 @@ results: an engine hands out work and brings it back, in whatever order."""
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterable, Iterator
@@ -85,7 +86,7 @@ def open_engine(workers: int, ray_address: str | None = None) -> Iterator[Engine
         except ModuleNotFoundError:
             raise ValueError("--ray needs Ray: pip install 'densecavoid[cluster]'") from None
         try:
-            ray.init(address=ray_address, log_to_driver=False, logging_level="warning")
+            ray.init(address=ray_address, log_to_driver=False, logging_level=logging.WARNING)
         except ConnectionError as error:
             raise ValueError(f"no Ray cluster at {ray_address!r}: {error}") from None
         try:
