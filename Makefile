@@ -7,6 +7,8 @@ NAVIGATOR ?= densecavoid
 SEED ?= 7
 OUT ?= runs/demo
 PYTEST_ARGS ?=
+EPISODES ?= 500
+RESULTS ?= runs/results
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -19,7 +21,7 @@ DEV_STAMP := $(VENV)/.installed-dev
 export OMP_WAIT_POLICY := passive
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick lint benchmark clean distclean
+.PHONY: help setup demo test quick lint benchmark table clean distclean
 
 help: ## list the commands
 	@awk -F ': .*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -42,6 +44,10 @@ lint: $(DEV_STAMP) ## ruff and pyright
 
 benchmark: $(BASE_STAMP) ## speed of the simulator, printed
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+
+table: $(BASE_STAMP) ## the README's results: every navigator in every test, into RESULTS (EPISODES a cell); goes on where it stopped
+	$(BIN)/densecavoid benchmark --episodes $(EPISODES) --out $(RESULTS) \
+		--navigators densecavoid frozone dwa social-force orca orca-privileged go-to-goal oracle
 
 clean: ## remove caches and build outputs (runs/ and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis

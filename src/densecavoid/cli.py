@@ -20,14 +20,35 @@ def _run(args: Sequence[str]) -> None:
     print(f"{config.navigator} in {config.scenario} (seed {config.seed}): {one_line(metrics)} -> {config.film_path}")
 
 
+@dataclass(frozen=True)
+class CompareConfig:
+    """Settings of `densecavoid benchmark --compare`."""
+
+    before: tyro.conf.Positional[Path]
+    """A results.json, with episodes.jsonl beside it."""
+    after: tyro.conf.Positional[Path]
+    """Another one."""
+
+
 def _benchmark(args: Sequence[str]) -> None:
-    """navigators x scenarios x episodes: results.json, tables.md, success.png"""
+    """navigators x scenarios x episodes: results.json, tables.md, index.html; --compare A B says what changed"""
+    if "--compare" in args:
+        from densecavoid.benchmark.compare import compare, comparison, other_conditions
+
+        rest = [arg for arg in args if arg != "--compare"]
+        pair = tyro.cli(CompareConfig, prog="densecavoid benchmark --compare", args=rest)
+        print(comparison(compare(pair.before, pair.after), other_conditions(pair.before, pair.after)), end="")
+        return
     from densecavoid.benchmark.report import write_report
     from densecavoid.benchmark.runner import BenchmarkConfig, run_benchmark
+    from densecavoid.benchmark.scenes import write_scenes
 
     config = tyro.cli(BenchmarkConfig, prog="densecavoid benchmark", args=args)
-    write_report(run_benchmark(config), config.out)
-    print(f"{config.out / 'tables.md'}\n{config.out / 'success.png'}\n{config.out / 'results.json'}")
+    results = run_benchmark(config)
+    write_scenes(config)
+    write_report(results, config.out)
+    for name in ("index.html", "tables.md", "success.png", "results.json"):
+        print(config.out / name)
 
 
 @dataclass(frozen=True)

@@ -5,17 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from densecavoid.baselines import GoToGoal
+from densecavoid.baselines import Dwa, Frozone, GoToGoal, Orca, SocialForce
+from densecavoid.benchmark.oracle import Oracle
 from densecavoid.frames import Navigator, RobotConfig, choose
 from densecavoid.perception.config import PeopleFrom
-
-
-def _go_to_goal(robot: RobotConfig) -> Navigator:
-    return GoToGoal(robot)
-
-
-def _densecavoid(robot: RobotConfig) -> Navigator:
-    return _policy("densecavoid")
 
 
 def _policy(name: str | Path, people_from: PeopleFrom = "detector") -> Navigator:
@@ -30,8 +23,14 @@ _SOURCES: dict[str, PeopleFrom] = {":truth": "truth", ":boxes": "boxes", ":nothi
 
 
 _NAVIGATORS: dict[str, Callable[[RobotConfig], Navigator]] = {
-    "densecavoid": _densecavoid,
-    "go-to-goal": _go_to_goal,
+    "densecavoid": lambda robot: _policy("densecavoid"),
+    "frozone": lambda robot: Frozone(_policy("densecavoid"), robot),
+    "dwa": Dwa,
+    "social-force": SocialForce,
+    "orca": Orca,
+    "orca-privileged": lambda robot: Orca(robot, source="truth"),
+    "go-to-goal": GoToGoal,
+    "oracle": lambda robot: Oracle(),
 }
 
 
