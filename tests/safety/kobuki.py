@@ -1,4 +1,4 @@
-"""A base that obeys like a Kobuki, and people who walk straight: what the filter is tried on. Not the project's simulator."""
+"""A base that obeys like a Kobuki: what the filter is tried on. Not the project's simulator."""
 
 from __future__ import annotations
 

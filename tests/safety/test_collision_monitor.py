@@ -192,8 +192,8 @@ def test_toggle_service() -> None:
 
 
 def test_acceptance_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    """Time to stop and to resume at most .6 s, hold at least 90 %, false stops at most 5 %: scans at 10 Hz with noise of
-    2 cm, 2 % of the rays giving a return out of nothing, things that come and go 30 times."""
+    """Time to stop and to resume at most .6 s, hold at least 90 %, false stops at most 5 %: scans at 10 Hz with noise
+    of 2 cm, 2 % of the rays giving a return out of nothing, things that come and go 30 times."""
     rng = np.random.default_rng(7)
     filter_ = SafetyFilter(SafetyConfig(freeze=FreezeConfig(enabled=False)))
     now, time_to_stop, time_to_resume, held, free = 0.0, [], [], [], []

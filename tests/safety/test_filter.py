@@ -127,7 +127,7 @@ def test_whoever_walks_away_or_aside_does_not_stop_it() -> None:
     aside = robot.people(np.array([[1.5, 1.5]]), np.array([[0.0, 1.0]]))
     assert allowed_factor(0.6, 0.0, NOTHING, aside, config).factor == 1.0
     coming = robot.people(np.array([[1.2, 0.0]]), np.array([[-1.3, 0.0]]))
-    assert allowed_factor(0.6, 0.0, NOTHING, coming, config).factor < 0.3
+    assert allowed_factor(0.6, 0.0, NOTHING, coming, config).factor < 0.4
 
 
 def test_a_frozen_robot_turns_towards_the_freest_direction_and_is_handed_back() -> None:
@@ -150,12 +150,14 @@ def test_a_frozen_robot_turns_towards_the_freest_direction_and_is_handed_back() 
     assert 6.0 <= started <= 8.5  # it drove the first quarter of a metre
     assert actions[-1] != "escape" and robot.pose[2] > 0.8
     assert abs(freest_direction(robot.to_robot(things), NOBODY, 0.26, 3.0)) < 0.2
+    place = robot.pose[:2]
     for _ in range(60):  # the way is free now: the one who drives has it back
         now += 0.05
         filter_.command(now, 0.5, 0.0)
         filter_.scan(now, "scan", robot.to_robot(things))
         output = filter_.update(now, (robot.pose[0], robot.pose[1]), wants_to_drive=True)
-    assert output.linear_velocity > 0.2
+        robot.drive((output.linear_velocity, output.angular_velocity), 0.05)
+    assert math.dist(robot.pose[:2], place) > 0.3
 
 
 def test_standing_without_a_wish_to_drive_is_not_freezing() -> None:
@@ -185,5 +187,6 @@ def test_its_import_is_light() -> None:
     import subprocess
     import sys
 
-    code = "import sys, densecavoid.safety; print([m for m in ('torch', 'numba', 'scipy', 'gymnasium') if m in sys.modules])"
+    heavy = ("torch", "numba", "scipy", "gymnasium")
+    code = f"import sys, densecavoid.safety; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

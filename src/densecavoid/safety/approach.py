@@ -169,10 +169,9 @@ def _past_people(linear: float, curvature: float, angular: float, people: People
     way = start * np.minimum(time, approach.reaction_s) + start * grip - 0.5 * config.braking * grip**2
     at, _ = arc(math.copysign(1.0, linear) * way, curvature, _FACTORS[:, None] * angular * time)
     moving = time <= approach.reaction_s + stands + _STEP_S
-    unsafe = (_meets_people(time, at, people, config) & moving).any(axis=1)
-    unsafe[0] = False
+    unsafe = np.flatnonzero((_meets_people(time, at, people, config) & moving)[1:].any(axis=1))
     # The first unsafe rung ends the ladder: a faster way past somebody is not this filter's to choose.
-    return float(_FACTORS[int(np.argmax(unsafe)) - 1]) if unsafe.any() else 1.0
+    return float(_FACTORS[unsafe[0]]) if len(unsafe) else 1.0
 
 
 def _meets_people(
@@ -189,4 +188,4 @@ def _meets_people(
     distance = np.hypot(offset[..., 0], offset[..., 1])
     now = np.hypot(people.pos_r[:, 0], people.pos_r[:, 1])
     leaves = (now < near) & (distance > now)
-    return ((distance < near + approach.person_speed_error * time[:, None]) & ~leaves).any(axis=-1)
+    return np.any((distance < near + approach.person_speed_error * time[:, None]) & ~leaves, axis=-1)

@@ -68,7 +68,7 @@ class SafetyFilter:
         self._standing_since: float | None = None
         self._freeze = FreezeGuard(self.config.freeze)
 
-    # -- what it is told ------------------------------------------------------------------------------------------------
+    # -- what it is told -----------------------------------------------------------------------------------------------
 
     def command(self, now_s: float, linear: float, angular: float) -> None:
         """Somebody wants to drive."""
@@ -101,7 +101,7 @@ class SafetyFilter:
         """A new goal: what was before it does not count."""
         self._freeze.forget()
 
-    # -- what it says ---------------------------------------------------------------------------------------------------
+    # -- what it says --------------------------------------------------------------------------------------------------
 
     def update(
         self,
@@ -199,7 +199,7 @@ class SafetyFilter:
         return _Reduced(inside, turn, "pass" if same else "limit", "" if same else "limits of the robot")
 
     def _sped_up(self, wanted: _Reduced, dt: float) -> _Reduced:
-        """The wanted velocity, reached no faster than the limits of acceleration allow. Slowing down is never delayed."""
+        """The wanted velocity, reached within the limits of acceleration. Slowing down is never delayed."""
         linear = _sped_up(self._last[0], wanted.linear, self.config.max_linear_acceleration * dt)
         angular = _sped_up(self._last[1], wanted.angular, self.config.max_angular_acceleration * dt)
         return _Reduced(linear, angular, wanted.action, wanted.reason)
