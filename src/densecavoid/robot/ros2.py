@@ -13,6 +13,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -23,7 +24,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image, LaserScan
 from visualization_msgs.msg import Marker, MarkerArray
@@ -77,7 +78,7 @@ class DenseCAvoidNode(LifecycleNode):
         """Loads the folder, warms it up, and listens."""
         try:
             settings = load_settings(self.get_parameter("robot").value)
-            pilot = FolderPilot(self.get_parameter("folder").value)
+            pilot = FolderPilot(Path(self.get_parameter("folder").value))
         except (ValueError, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -146,13 +147,14 @@ class DenseCAvoidNode(LifecycleNode):
             self._things.append((self.destroy_subscription, subscription))
 
         now, ros_now = time.monotonic, self._ros_now_s
-        sensors, reliable = qos_profile_sensor_data, QoSProfile(depth=10)
+        # The newest alone: on a busy computer a queue of old ones would keep everything late.
+        sensors, newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT), QoSProfile(depth=1)
         listen(LaserScan, "scan", lambda m: runtime.on_scan(m, now(), ros_now()), sensors)
         listen(Image, "depth/image", lambda m: runtime.on_depth(m, now(), ros_now()), sensors)
         listen(CameraInfo, "depth/camera_info", runtime.on_camera_info, sensors)
-        listen(Odometry, "odom", lambda m: runtime.on_odom(m, now(), ros_now()), reliable)
-        listen(PoseStamped, "goal_pose", self._on_goal, reliable)
-        listen(PoseStamped, "move_base_simple/goal", self._on_goal, reliable)
+        listen(Odometry, "odom", lambda m: runtime.on_odom(m, now(), ros_now()), newest)
+        listen(PoseStamped, "goal_pose", self._on_goal, newest)
+        listen(PoseStamped, "move_base_simple/goal", self._on_goal, newest)
         if use_tf and TFMessage is not None:
             many = QoSProfile(depth=100)
             latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
