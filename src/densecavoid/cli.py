@@ -91,6 +91,13 @@ def _robot(args: Sequence[str]) -> None:
     robot(args)
 
 
+def _replay(args: Sequence[str]) -> None:
+    """run a recording (.bag, .mcap, .db3) through the robot's loop"""
+    from densecavoid.robot.verbs import replay
+
+    replay(args)
+
+
 VERBS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": _run,
     "train": _train,
@@ -98,6 +105,7 @@ VERBS: dict[str, Callable[[Sequence[str]], None]] = {
     "perceive": _perceive,
     "export": _export,
     "robot": _robot,
+    "replay": _replay,
 }
 
 

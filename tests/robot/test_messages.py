@@ -63,6 +63,7 @@ def test_ranges_by_rep_117() -> None:
     expected = [np.inf, 0.1, np.nan, 0.1, 2.0, np.inf, np.nan, np.nan]
     np.testing.assert_array_equal(clean_ranges(scan), expected)
     assert clean_ranges(scan, "nothing")[6] == np.inf
+    np.testing.assert_array_equal(clean_ranges(scan, ignore_within_m=0.5)[:5], [np.inf, np.inf, np.nan, np.inf, 2.0])
 
 
 LIDAR = LidarConfig(num_rays=129, fov_rad=math.radians(240), max_range_m=4.0)

@@ -37,6 +37,8 @@ class RobotSettings:
     depth_frame: str = ""
     zero_range: Literal["invalid", "nothing"] = "invalid"
     """What a range of exactly 0 stands for."""
+    ignore_within_m: float = 0.0
+    """Returns nearer to the scanner than this are the robot's own body: as if nothing were there."""
     control_hz: float = 20.0
     """Rate of the filter and of cmd_vel."""
     policy_hz: float = 10.0
@@ -66,6 +68,7 @@ class RobotSettings:
         for name in ("max_age_s", "max_transform_age_s", "goal_tolerance_m", "max_blind_rad"):
             value = getattr(self, name)
             require(0 < value <= 10, f"RobotSettings.{name}", value, "in (0, 10]")
+        require(0 <= self.ignore_within_m <= 2, "ignore_within_m", self.ignore_within_m, "in [0, 2] m")
         for name in ("min_lidar_share", "min_depth_share"):
             value = getattr(self, name)
             require(0 <= value <= 1, f"RobotSettings.{name}", value, "in [0, 1]")
@@ -74,7 +77,7 @@ class RobotSettings:
 class _StrictLoader(yaml.SafeLoader):
     """Plain values only, no aliases: a few bytes of aliases can stand for gigabytes."""
 
-    def compose_node(self, parent: Any, index: int) -> Any:
+    def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("aliases are not allowed")
         self.depth = getattr(self, "depth", 0) + 1

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from densecavoid.env.observation import ObserverConfig
-from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, require
+from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, require
 from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.navigator import PolicyNavigator
 from densecavoid.policy.runtime import OnnxPolicy, read_policy_file
@@ -192,6 +192,11 @@ class FolderPilot:
         """The policy's command."""
         command = self._navigator.act(frame)
         return float(command.linear_velocity[0]), float(command.angular_velocity[0])
+
+    @property
+    def observation(self) -> Observation | None:
+        """What the policy acted on last, in buffers that the next act writes again."""
+        return self._navigator.observation
 
     def prediction(self) -> np.ndarray | None:
         """What the policy saw of where people will be."""

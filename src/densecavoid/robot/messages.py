@@ -220,7 +220,9 @@ def goal_from_ros(message: Any) -> Goal:
 # -- to the policy's sensors -------------------------------------------------------------------------------------------
 
 
-def clean_ranges(scan: Scan, zero: Literal["invalid", "nothing"] = "invalid") -> Float[np.ndarray, "rays"]:
+def clean_ranges(
+    scan: Scan, zero: Literal["invalid", "nothing"] = "invalid", ignore_within_m: float = 0.0
+) -> Float[np.ndarray, "rays"]:
     """Ranges by REP-117: a distance; +inf where nothing is in range; NaN where the scanner does not know.
 
     -inf (too near to measure) and anything nearer than the least range become the least range, beyond the greatest
@@ -229,12 +231,14 @@ def clean_ranges(scan: Scan, zero: Literal["invalid", "nothing"] = "invalid") ->
     Args:
         scan: as sent.
         zero: what an exact 0 stands for: older drivers send it where nothing is in range.
+        ignore_within_m: nearer returns are the robot's own body, and become +inf.
     """
     ranges = scan.ranges_m.astype(np.float64)
     unknown = np.isnan(ranges) | ((ranges < 0) & np.isfinite(ranges))
     zeros = ranges == 0
     ranges = np.where(ranges < max(scan.range_min_m, 1e-3), max(scan.range_min_m, 1e-3), ranges)
     ranges[ranges > scan.range_max_m] = np.inf
+    ranges[ranges < ignore_within_m] = np.inf
     ranges[zeros] = np.nan if zero == "invalid" else np.inf
     ranges[unknown] = np.nan
     return ranges

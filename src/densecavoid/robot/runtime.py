@@ -108,7 +108,7 @@ class RobotRuntime:
         if scan is None:
             return self.watchdog.reason("scan")
         lidar = self.pilot.lidar
-        ranges = messages.clean_ranges(scan, self.settings.zero_range)
+        ranges = messages.clean_ranges(scan, self.settings.zero_range, self.settings.ignore_within_m)
         fault, mount = self._mount_of(scan.frame, now_s)
         resampled, seen = messages.resample_scan(scan, ranges, mount, lidar)
         fault = fault or self._blindness(seen)

@@ -76,6 +76,23 @@ def _faults(args: Sequence[str]) -> None:
     print(table(run_faults(tyro.cli(FaultsConfig, prog="densecavoid robot faults", args=args))))
 
 
+def replay(args: Sequence[str]) -> None:
+    """run a recording (.bag, .mcap, .db3) through the robot's loop"""
+    from densecavoid.robot.replay import ReplayConfig
+    from densecavoid.robot.replay import replay as run_replay
+
+    config = tyro.cli(ReplayConfig, prog="densecavoid replay", args=args)
+    summary = run_replay(config)
+    print(
+        f"{summary.scans} scans in {summary.seconds:.1f} s, {summary.commands} commands, {summary.moving_share:.0%} of "
+        f"them moving, at most {summary.people_most} people; {summary.act_ms_p50:.2f} ms a step (p99 "
+        f"{summary.act_ms_p99:.2f}) -> {config.out}"
+    )
+    for name, counts in (("said", summary.reasons), ("refused", summary.refused)):
+        for word, count in sorted(counts.items(), key=lambda item: -item[1])[:6]:
+            print(f"  {name} {count:6} x {word}")
+
+
 ROBOT: dict[str, Callable[[Sequence[str]], None]] = {"ros1": _ros1, "ros2": _ros2, "faults": _faults}
 """What `densecavoid robot` can do."""
 
