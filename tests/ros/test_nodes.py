@@ -18,6 +18,9 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("rosbags")
+from rosbags.highlevel import AnyReader
+
 from densecavoid.robot.folder import export_folder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,6 +49,7 @@ class Ros:
         """Starts a node and a body, lets the script run, and returns what the body received."""
         out, node_log = self.tmp / f"{name}.json", self.tmp / f"{name}.log"
         node_args = [self.version, "--folder", str(self.folder), "--robot", str(self.robot)]
+        node_args += ["--record", str(self.tmp / f"{name}-recording")]
         if self.version == "ros1":
             node_args += ["cmd_vel:=cmd_vel_mux/input/navi"]
         else:
@@ -74,6 +78,9 @@ class Ros:
                 node.kill()
                 node.wait()
         log = json.loads(out.read_text())
+        with AnyReader([self.tmp / f"{name}-recording"]) as reader:
+            counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert counts["/scan"] > 10 and counts["/cmd_vel"] > 20, counts
         log["node"] = node_log.read_text()
         return log
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from densecavoid.frames import require
+from densecavoid.robot.runtime import Step
 
 MAX_BAG_BYTES = 64 << 30
 _KINDS = {
@@ -207,6 +208,11 @@ class Recorder:
             **numbers,
         )
         self._write("/scan", kind, time_s, copy)
+
+    def step(self, time_s: float, step: Step, frame: str) -> None:
+        """What the loop decided, and why."""
+        self.velocity(time_s, step.command.linear_velocity, step.command.angular_velocity, frame)
+        self.status(time_s, step.level, step.message)
 
     def status(self, time_s: float, level: int, message: str) -> None:
         """Why the robot does what it does, on `diagnostics`."""

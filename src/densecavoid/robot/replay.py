@@ -163,8 +163,7 @@ class _Replay:
         self.lines.write(json.dumps(row) + "\n")
         if self.recorder is not None:
             frame = self.runtime.settings.base_frame
-            self.recorder.velocity(now_s, command.linear_velocity, command.angular_velocity, frame)
-            self.recorder.status(now_s, step.level, step.message)
+            self.recorder.step(now_s, step, frame)
 
 
 def _standing(now_s: float) -> Any:

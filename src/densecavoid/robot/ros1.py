@@ -24,6 +24,7 @@ from sensor_msgs.msg import CameraInfo, Image, LaserScan
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
+from densecavoid.robot.bags import Recorder
 from densecavoid.robot.config import load_settings
 from densecavoid.robot.folder import FolderPilot
 from densecavoid.robot.node_config import NodeConfig
@@ -69,6 +70,7 @@ class DenseCAvoidNode:
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._reported_s = 0.0
         self._stopped = False
+        self._recorder = Recorder(config.record) if config.record is not None else None
         rospy.on_shutdown(self.stop_robot)
         self._subscribe()
         rospy.loginfo(
@@ -87,7 +89,7 @@ class DenseCAvoidNode:
             rospy.Subscriber(topic, kind, locked, queue_size=queue_size, buff_size=1 << 24, tcp_nodelay=True)
 
         now = time.monotonic
-        listen(LaserScan, "scan", lambda m: runtime.on_scan(m, now(), _ros_now_s()))
+        listen(LaserScan, "scan", self._on_scan)
         listen(Image, "depth/image", lambda m: runtime.on_depth(m, now(), _ros_now_s()))
         listen(CameraInfo, "depth/camera_info", runtime.on_camera_info)
         listen(Odometry, "odom", lambda m: runtime.on_odom(m, now(), _ros_now_s()))
@@ -96,6 +98,11 @@ class DenseCAvoidNode:
         if self.settings.use_tf:
             listen(TFMessage, "/tf", lambda m: runtime.on_transforms(m.transforms, now(), False), 100)
             listen(TFMessage, "/tf_static", lambda m: runtime.on_transforms(m.transforms, now(), True), 100)
+
+    def _on_scan(self, message: LaserScan) -> None:
+        self._runtime.on_scan(message, time.monotonic(), _ros_now_s())
+        if self._recorder is not None and not self._stopped:
+            self._recorder.scan(_ros_now_s(), message)
 
     def _on_goal(self, message: PoseStamped) -> None:
         refused = self._runtime.on_goal(message, time.monotonic())
@@ -117,6 +124,8 @@ class DenseCAvoidNode:
         step = self._runtime.step(now_s, _ros_now_s())
         if step.command.publish and not self._stopped:
             self._publish_velocity(step.command.linear_velocity, step.command.angular_velocity)
+        if self._recorder is not None and not self._stopped:
+            self._recorder.step(_ros_now_s(), step, self.settings.base_frame)
         if now_s - self._reported_s >= _REPORT_S:
             self._reported_s = now_s
             self._publish_report(step, now_s)
@@ -128,6 +137,8 @@ class DenseCAvoidNode:
             for _ in range(_ZEROS):
                 self._publish_velocity(0.0, 0.0)
                 time.sleep(0.01)
+            if self._recorder is not None:
+                self._recorder.__exit__()
 
     def _publish_velocity(self, linear: float, angular: float) -> None:
         self._velocity.publish(self._outgoing.velocity(linear, angular))

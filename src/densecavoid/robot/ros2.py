@@ -29,6 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image, LaserScan
 from visualization_msgs.msg import Marker, MarkerArray
 
+from densecavoid.robot.bags import Recorder
 from densecavoid.robot.config import load_settings
 from densecavoid.robot.folder import FolderPilot
 from densecavoid.robot.node_config import NodeConfig
@@ -66,6 +67,7 @@ class DenseCAvoidNode(LifecycleNode):
         self._config = config
         self._runtime: RobotRuntime | None = None
         self._active = False
+        self._recorder = Recorder(config.record) if config.record is not None else None
         self._reported_s = 0.0
         self._things: list[tuple[Callable[[Any], object], Any]] = []
         for name, value in (("folder", str(config.folder)), ("robot", config.robot)):
@@ -127,6 +129,11 @@ class DenseCAvoidNode(LifecycleNode):
         self._active = False
         return self.on_cleanup(state)
 
+    def end_recording(self) -> None:
+        """Writes the recording's index, without which it cannot be played."""
+        if self._recorder is not None:
+            self._recorder.__exit__()
+
     def stop_robot(self) -> None:
         """Three zeros, and waits until they are received."""
         if self._runtime is None or not self._active:
@@ -149,7 +156,7 @@ class DenseCAvoidNode(LifecycleNode):
         now, ros_now = time.monotonic, self._ros_now_s
         # The newest alone: on a busy computer a queue of old ones would keep everything late.
         sensors, newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT), QoSProfile(depth=1)
-        listen(LaserScan, "scan", lambda m: runtime.on_scan(m, now(), ros_now()), sensors)
+        listen(LaserScan, "scan", self._on_scan, sensors)
         listen(Image, "depth/image", lambda m: runtime.on_depth(m, now(), ros_now()), sensors)
         listen(CameraInfo, "depth/camera_info", runtime.on_camera_info, sensors)
         listen(Odometry, "odom", lambda m: runtime.on_odom(m, now(), ros_now()), newest)
@@ -162,6 +169,12 @@ class DenseCAvoidNode(LifecycleNode):
             listen(TFMessage, "/tf_static", lambda m: runtime.on_transforms(m.transforms, now(), True), latched)
         elif use_tf:
             self.get_logger().warning("tf2_msgs is missing: only goals in the odometry's and the robot's own frame")
+
+    def _on_scan(self, message: LaserScan) -> None:
+        assert self._runtime is not None
+        self._runtime.on_scan(message, time.monotonic(), self._ros_now_s())
+        if self._recorder is not None:
+            self._recorder.scan(self._ros_now_s(), message)
 
     def _on_goal(self, message: PoseStamped) -> None:
         assert self._runtime is not None
@@ -192,6 +205,8 @@ class DenseCAvoidNode(LifecycleNode):
         step = runtime.step(now_s, self._ros_now_s())
         if self._active and step.command.publish:
             self._publish_velocity(step.command.linear_velocity, step.command.angular_velocity)
+        if self._recorder is not None:
+            self._recorder.step(self._ros_now_s(), step, runtime.settings.base_frame)
         if now_s - self._reported_s >= 1.0 / _REPORT_HZ:
             self._reported_s = now_s
             self._publish_report(step, now_s)
@@ -236,6 +251,7 @@ def run(config: NodeConfig, ros_args: Sequence[str]) -> None:
             executor.spin_once(timeout_sec=0.05)
     finally:
         node.stop_robot()
+        node.end_recording()
         executor.shutdown()
         node.destroy_node()
         rclpy.shutdown()
