@@ -219,16 +219,11 @@ def test_any_text_is_settings_or_a_value_error(text: str) -> None:
         settings_from(read_yaml(text, "fuzz"), "fuzz")
 
 
-JSON = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8)),
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=3),
-        st.dictionaries(
-            st.sampled_from(["name", "files", "observation", "policy", "bytes", "format"]), inner, max_size=4
-        ),
-    ),
-    max_leaves=12,
-)
+LEAF = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8))
+KEYS = st.sampled_from(["name", "files", "observation", "policy", "bytes", "format", "sha256", "made_with"])
+INNER = st.one_of(LEAF, st.lists(LEAF, max_size=3), st.dictionaries(KEYS, LEAF, max_size=4))
+MIDDLE = st.one_of(INNER, st.dictionaries(KEYS, INNER, max_size=4))
+JSON = st.one_of(MIDDLE, st.dictionaries(KEYS, MIDDLE, max_size=6))
 
 
 @settings(max_examples=150, deadline=None)

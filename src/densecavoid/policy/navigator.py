@@ -9,7 +9,7 @@ from jaxtyping import Bool
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import Command, Observation, SensorFrame
-from densecavoid.perception.tracker import Tracks
+from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.runtime import OnnxPolicy
 from densecavoid.policy.sensors import mask_observation

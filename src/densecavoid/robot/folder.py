@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib
 import importlib.metadata
 import json
 import math
@@ -22,6 +23,9 @@ import numpy as np
 
 from densecavoid.env.observation import ObserverConfig
 from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, require
+from densecavoid.perception.legs import LegDetector
+from densecavoid.perception.tracker import Sighting, Tracker
+from densecavoid.perception.visibility import lidar_view
 from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.navigator import PolicyNavigator
 from densecavoid.policy.runtime import OnnxPolicy, read_policy_file
@@ -170,6 +174,12 @@ class FolderPilot:
             raise ValueError(f"{folder / MANIFEST}: observation: {error}") from error
         policy.card = dataclasses.replace(policy.card, observation=manifest.observation)
         self._navigator = PolicyNavigator(policy)
+        # Where the policy's observer tracks nobody, the filter still wants to know who walks where: legs in the scans.
+        self._legs: LegDetector | None = None
+        if self._navigator.observer_config.people_from == "nothing":
+            self._legs = LegDetector(self.lidar, threads=1)
+            self._tracker = Tracker(1, threads=1)
+            importlib.import_module("scipy.optimize")  # now, and not when the tracker first needs it
         self.name = manifest.name
         if self._navigator.privileged:
             raise ValueError(f"{folder}: the policy needs ground truth, which a robot does not have")
@@ -187,10 +197,15 @@ class FolderPilot:
     def reset(self) -> None:
         """Forgets scans and tracks."""
         self._navigator.reset(np.ones(1, np.bool_))
+        if self._legs is not None:
+            self._tracker.reset(np.ones(1, np.bool_))
 
     def act(self, frame: SensorFrame) -> tuple[float, float]:
         """The policy's command."""
         command = self._navigator.act(frame)
+        if self._legs is not None:
+            found = Sighting(self._legs.detect(frame.scan_m, frame.odom_pose), lidar_view(frame.scan_m, self.lidar))
+            self._tracker.update(frame.odom_pose, self._navigator.observer_config.control_dt_s, [found])
         return float(command.linear_velocity[0]), float(command.angular_velocity[0])
 
     @property
@@ -204,9 +219,9 @@ class FolderPilot:
         return None if observation is None else observation.prediction[0].copy()
 
     def people(self, pose: tuple[float, float, float]) -> PeopleNear:
-        """Everybody tracked."""
-        tracks = self._navigator.tracks
-        some = np.flatnonzero(tracks.hits[0] > 0)
+        """Everybody who is surely a person."""
+        tracks = self._navigator.tracks if self._legs is None else self._tracker.tracks
+        some = np.flatnonzero(tracks.live[0] & tracks.confirmed[0])
         if len(some) == 0:
             return NOBODY
         state, cos, sin = tracks.state[0, some], math.cos(pose[2]), math.sin(pose[2])
