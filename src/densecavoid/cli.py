@@ -176,11 +176,35 @@ def _perceive(args: Sequence[str]) -> None:
     PERCEIVE[args[0]](args[1:])
 
 
+def _export(args: Sequence[str]) -> None:
+    """write the folder that robots run"""
+    from densecavoid.robot.verbs import export
+
+    export(args)
+
+
+def _robot(args: Sequence[str]) -> None:
+    """drive a robot: the ROS 1 node, the ROS 2 node, the fault campaign"""
+    from densecavoid.robot.verbs import robot
+
+    robot(args)
+
+
+def _replay(args: Sequence[str]) -> None:
+    """run a recording (.bag, .mcap, .db3) through the robot's loop"""
+    from densecavoid.robot.verbs import replay
+
+    replay(args)
+
+
 VERBS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": _run,
     "train": _train,
     "benchmark": _benchmark,
     "perceive": _perceive,
+    "export": _export,
+    "robot": _robot,
+    "replay": _replay,
 }
 
 

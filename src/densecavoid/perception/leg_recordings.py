@@ -85,7 +85,7 @@ def empty_rooms(data: Path) -> list[LegRecording]:
     try:
         from rosbags.highlevel import AnyReader
     except ModuleNotFoundError:
-        raise ValueError("reading bags needs rosbags: pip install 'densecavoid[bags]'") from None
+        raise ValueError("reading bags needs rosbags: pip install 'densecavoid[robot]'") from None
     scans: dict[str, list] = {}
     with AnyReader([data / "leg_tracker" / "negative_2.bag"]) as reader:
         for connection, _, raw in reader.messages():

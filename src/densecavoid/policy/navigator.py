@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import Command, SensorFrame
+from densecavoid.frames import Command, Observation, SensorFrame
 from densecavoid.perception.config import PeopleFrom
+from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.runtime import OnnxPolicy
 from densecavoid.policy.sensors import mask_observation
@@ -47,6 +48,8 @@ class PolicyNavigator:
         self._observer = Observer(self._observer_config, num_worlds)
         self._num_worlds = num_worlds
         self._limits = np.array([policy.card.max_linear_velocity, policy.card.max_angular_velocity], np.float32)
+        self.observation: Observation | None = None
+        """What it acted on last, in buffers that the next act writes again."""
         self._std = np.exp(np.array(policy.card.log_std, np.float32)) if sample else None
         self._rng = np.random.default_rng(seed)
 
@@ -54,6 +57,16 @@ class PolicyNavigator:
     def privileged(self) -> bool:
         """Whether it reads ground truth."""
         return self._observer.privileged
+
+    @property
+    def observer_config(self) -> ObserverConfig:
+        """What it must be given to see."""
+        return self._observer_config
+
+    @property
+    def tracks(self) -> Tracks:
+        """Everybody tracked now."""
+        return self._observer.tracks
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forget the episodes of the marked worlds; another length than before starts all of them afresh."""
@@ -73,7 +86,7 @@ class PolicyNavigator:
             raise ValueError(
                 f"the frame has {frame.num_worlds} worlds, expected {self._num_worlds} as in the last reset"
             )
-        observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
+        observation = self.observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
         command = self.policy(observation)
         if self._std is not None:
             command = command + self._std * self._rng.standard_normal(command.shape, dtype=np.float32)
