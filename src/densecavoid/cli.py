@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -63,7 +64,8 @@ def _train(args: Sequence[str]) -> None:
             result = train(config)
     except (PeerLostError, TrainingDivergedError) as error:
         raise ValueError(str(error)) from None
-    print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
+    if os.environ.get("RANK", "0") == "0":  # under torchrun, the first process speaks for all
+        print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
 PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {}

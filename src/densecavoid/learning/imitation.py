@@ -29,9 +29,12 @@ class ImitationConfig:
     """Environment steps for which it is imitated."""
     drives: float = 0.5
     """Share of the steps in which the teacher drives, at the start; sinks to 0 half way through."""
+    weight: float = 10.0
+    """Of the distance to the teacher beside the critic's loss, whose gradient would otherwise drown it."""
 
     def __post_init__(self) -> None:
         require(self.steps > 0, "ImitationConfig.steps", self.steps, "positive")
+        require(self.weight > 0, "ImitationConfig.weight", self.weight, "positive")
         require(0 <= self.drives <= 1, "ImitationConfig.drives", self.drives, "in [0, 1]")
 
     def share(self, steps_done: int) -> float:
@@ -59,6 +62,7 @@ def imitate(
     optimiser: torch.optim.Adam,
     rollout: Rollout,
     config: PPOConfig,
+    weight: float,
     generator: torch.Generator,
     peers: Peers = Peers(),  # noqa: B008
 ) -> ImitationStatistics:
@@ -68,7 +72,8 @@ def imitate(
         network: changed in place.
         optimiser: over the network's parameters.
         rollout: collected with a teacher.
-        config: of it, what is not PPO's alone: discount, passes, minibatches, weights, gradient norm.
+        config: of it, what is not PPO's alone: discount, passes, minibatches, gradient norm, the critic's weight.
+        weight: of the distance to the teacher.
         generator: as in `ppo.update`.
         peers: as in `ppo.update`.
 
@@ -100,7 +105,7 @@ def imitate(
         figures = peers.sum(torch.stack([apart.detach(), wrong.detach()]))
         if not math.isfinite(float(figures.sum())):
             raise TrainingDivergedError(f"the losses of imitation and critic are {figures.tolist()}")
-        step(optimiser, apart + config.value_weight * wrong, parameters, config.max_gradient_norm, peers)
+        step(optimiser, weight * apart + config.value_weight * wrong, parameters, config.max_gradient_norm, peers)
         totals += figures
         gradient_steps += 1
     means, std = (totals / gradient_steps).tolist(), network.log_std.detach().exp().tolist()

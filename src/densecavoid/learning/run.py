@@ -142,7 +142,7 @@ def _run_all(trainer: Trainer, folder: RunFolder, resume: bool, console: Console
     policy = folder.path / "policy.onnx"
     if not peers.is_first:
         with stop_on_signals() as stop:
-            _iterate(trainer, folder, None, Display(progress, "", Console(quiet=True)), stop)
+            _iterate(trainer, folder, None, Display(progress, "", Console(quiet=True, force_terminal=False)), stop)
     else:
         folder.forget_metrics_after(trainer.steps)
         log = MetricsLog(folder.metrics_file, folder.tensorboard, trainer.steps if resume else None)

@@ -100,12 +100,13 @@ class Trainer:
         teacher = self._teacher_now()
         rollout = self.collector.collect(self.network, self.generator, on_step, teacher)
         collected_s = time.perf_counter()
-        settings = (self.network, self.optimiser, rollout, self.config.ppo, self.generator)
+        settings = (self.network, self.optimiser, rollout, self.config.ppo)
         if teacher is not None:
-            learned, name = imitate(*settings, peers=self.peers), "imitation"
+            learned = imitate(*settings, self.config.imitation.weight, self.generator, self.peers)
         else:
             progress = self.steps / self.config.total_steps
-            learned, name = ppo.update(*settings, progress=progress, peers=self.peers), "ppo"
+            learned = ppo.update(*settings, self.generator, progress, self.peers)
+        name = "imitation" if teacher is not None else "ppo"
         ppo.follow_inputs(self.network, rollout, self.peers)
         updated_s = time.perf_counter()
         self.steps += self.steps_per_iteration

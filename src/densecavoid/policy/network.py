@@ -142,14 +142,18 @@ class Encoder(nn.Module):
             x = x.permute(0, 2, 3, 1)
         else:
             first, *others = convs
-            x = _image_patches(camera, prediction, (first.weight.shape[2], first.weight.shape[3]))
+            # The first layer's windows in the order in which the second layer gathers them: it then finds its own side
+            # by side. To sort bytes here is cheaper than to sort floats there, forward and backward.
+            gathered = tuple(others[0].weight.shape[2:]) if others else (1, 1)
+            x = _image_patches(camera, prediction, (first.weight.shape[2], first.weight.shape[3]), gathered)
             # 0..255 is exact even in bfloat16; the scale goes into the weights, which are far fewer than the pixels.
             x = _product(x.to(self.compute_dtype), first.weight.flatten(1) / 255.0, first.bias)
-            for conv in others:
-                B, height, width, channels = x.shape
+            for depth, conv in enumerate(others):
                 kh, kw = conv.weight.shape[2:]
-                x = x.view(B, height // kh, kh, width // kw, kw, channels).transpose(2, 3)
-                x = x.reshape(B, height // kh, width // kw, kh * kw * channels)
+                if depth > 0:
+                    B, height, width, channels = x.shape
+                    x = x.view(B, height // kh, kh, width // kw, kw, channels).transpose(2, 3)
+                x = x.reshape(*x.shape[:3], -1)
                 x = _product(x, conv.weight.permute(0, 2, 3, 1).flatten(1), conv.bias)
         return _feed(x.flatten(1), self.camera_linears)
 
@@ -343,7 +347,10 @@ def _convolve(x: Tensor, conv: nn.Conv1d | nn.Conv2d) -> Tensor:
 
 def _product(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     assert bias is not None
-    return functional.linear(x, weight.to(x.dtype), bias.to(x.dtype)).relu_()
+    # On rows of one axis: of more axes the product is a view, and a ReLU in place of a view costs the way back four
+    # passes over the memory.
+    rows = functional.linear(x.flatten(0, -2), weight.to(x.dtype), bias.to(x.dtype)).relu_()
+    return rows.view(*x.shape[:-1], -1)
 
 
 def _feed(x: Tensor, layers: nn.ModuleList) -> Tensor:
@@ -353,17 +360,26 @@ def _feed(x: Tensor, layers: nn.ModuleList) -> Tensor:
 
 
 def _image_patches(
-    camera: UInt8[Tensor, "B height width"], prediction: UInt8[Tensor, "B height width"], window: tuple[int, int]
-) -> UInt8[Tensor, "B rows columns pixels"]:
+    camera: UInt8[Tensor, "B height width"],
+    prediction: UInt8[Tensor, "B height width"],
+    window: tuple[int, int],
+    gathered: tuple[int, int],
+) -> UInt8[Tensor, "B rows columns inner pixels"]:
     """Both images cut into windows; pixels in the order (channel, row, column) of a convolution's weights. The
     prediction is inverted (all bits flipped: 255 - x).
+
+    Args:
+        camera, prediction: images.
+        window: height and width of a window, pixels.
+        gathered: rows and columns of windows that make one place of the result; they follow each other along `inner`.
     """
     kh, kw = window
+    gh, gw = gathered
     word = _WORD_OF_WIDTH[kw]
     B, height, width = camera.shape
-    rows, columns = height // kh, width // kw
-    patches = torch.empty(B, rows, columns, 2, kh, dtype=word, device=camera.device)
+    rows, columns = height // (kh * gh), width // (kw * gw)
+    patches = torch.empty(B, rows, columns, gh, gw, 2, kh, dtype=word, device=camera.device)
     for channel, image in enumerate((camera, prediction)):
-        words = image.contiguous().view(word).view(B, rows, kh, columns).transpose(2, 3)
-        patches[:, :, :, channel] = words if channel == 0 else ~words
-    return patches.view(B, rows, columns, 2 * kh).view(torch.uint8)
+        words = image.contiguous().view(word).view(B, rows, gh, kh, columns, gw).permute(0, 1, 4, 2, 5, 3)
+        patches[..., channel, :] = words if channel == 0 else ~words
+    return patches.view(B, rows, columns, gh * gw, 2 * kh).view(torch.uint8)
