@@ -156,37 +156,35 @@ def compare_with_flat_simulators(ours: float, seconds: float) -> dict[str, float
     return {"speedup_irsim": ours / rate}
 
 
+def us_per_world_step(people: int, worlds: int, seconds: float) -> float:
+    """Time of one step of one world in a batch (people, robot, both sensors; one thread), microseconds."""
+    simulator = busy_simulator(people, worlds)
+    still = Command(np.zeros(worlds, np.float32), np.zeros(worlds, np.float32))
+
+    def step() -> None:
+        simulator.step(still)
+        simulator.sense()
+
+    return median_us(step, seconds) / worlds
+
+
 def worlds_scaling(seconds: float) -> list[dict[str, float]]:
-    """Time of one step of one world by the number of worlds, with the memory that each takes (one thread)."""
+    """Time of a step by the number of worlds."""
     rows: list[dict[str, float]] = []
     for worlds in MANY_WORLDS:
-        simulator = busy_simulator(PEOPLE, worlds)
-        still = Command(np.zeros(worlds, np.float32), np.zeros(worlds, np.float32))
-
-        def step(simulator: Simulator = simulator, still: Command = still) -> None:
-            simulator.step(still)
-            simulator.sense()
-
-        rows.append({"worlds": worlds, "us_per_world_step": median_us(step, seconds / 4) / worlds})
-        print(
-            f"{rows[-1]['us_per_world_step']:9.1f} us a world step in a batch of {worlds}  (one thread, both sensors)"
-        )
+        time_us = us_per_world_step(PEOPLE, worlds, seconds / 4)
+        rows.append({"worlds": worlds, "us_per_world_step": time_us})
+        print(f"{time_us:9.1f} us a world step in a batch of {worlds}  (one thread, both sensors)")
     return rows
 
 
 def people_scaling(seconds: float) -> list[dict[str, float]]:
-    """Time of one step of one world (people, robot, both sensors; one thread) by the number of people, as dense."""
+    """Time of a step by the number of people, as dense."""
     rows: list[dict[str, float]] = []
     for people in CROWDS:
-        simulator = busy_simulator(people, SCALING_WORLDS)
-        still = Command(np.zeros(SCALING_WORLDS, np.float32), np.zeros(SCALING_WORLDS, np.float32))
-
-        def step(simulator: Simulator = simulator, still: Command = still) -> None:
-            simulator.step(still)
-            simulator.sense()
-
-        rows.append({"people": people, "us_per_world_step": median_us(step, seconds / 4) / SCALING_WORLDS})
-        print(f"{rows[-1]['us_per_world_step']:9.1f} us a world step with {people} people  (one thread, both sensors)")
+        time_us = us_per_world_step(people, SCALING_WORLDS, seconds / 4)
+        rows.append({"people": people, "us_per_world_step": time_us})
+        print(f"{time_us:9.1f} us a world step with {people} people  (one thread, both sensors)")
     return rows
 
 

@@ -68,7 +68,16 @@ def _train(args: Sequence[str]) -> None:
         print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
-PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {}
+def _train_legs(args: Sequence[str]) -> None:
+    """train the classifier of legs in lidar scans"""
+    from densecavoid.perception.leg_training import LegTrainingConfig, train_legs
+
+    config = tyro.cli(LegTrainingConfig, prog="densecavoid perceive train-legs", args=args)
+    train_legs(config)
+    print(config.out)
+
+
+PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {"train-legs": _train_legs}
 """What `densecavoid perceive` can do."""
 
 

@@ -21,6 +21,8 @@ def cell(navigator: str, scenario: str, successes: int, privileged: bool = False
         "navigator": navigator,
         "scenario": scenario,
         "people": "scripted",
+        "pace": "brisk",
+        "motion": "orca",
         "dynamics": "ideal",
         "sensors": "clean",
         "privileged": privileged,
@@ -61,8 +63,10 @@ def test_frozen_has_the_papers_value(results):
 
 def test_a_table_names_its_conditions(results):
     text = tables(results)
-    for promise in ("definition 1", "people: scripted", "dynamics: ideal", "sensors: clean", "episodes: 10"):
-        assert promise in text
+    lines = text.splitlines()
+    for promise in ("people: scripted", "pace: brisk", "motion: orca", "dynamics: ideal", "sensors: clean"):
+        assert f"- {promise}" in lines
+    assert "- definition 1" in lines and "- episodes: 10" in lines
     assert "1000 to 1009" in text
     assert "policy of densecavoid: sha256 c0ffee" in text
     assert "| orca (privileged) |" in text

@@ -1,4 +1,4 @@
-"""Perception of people: boxes against corners projected by hand, occlusion, tracks, and the prediction frame."""
+"""Perception of people: boxes against corners projected by hand, occlusion, and the prediction frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import CameraConfig, Command
 from densecavoid.perception.prediction_frame import draw_prediction
 from densecavoid.perception.projection import body_box
-from densecavoid.perception.tracker import MAX_COAST_S, allocate_tracks, update_tracks
+from densecavoid.perception.tracks import allocate_tracks
 from densecavoid.perception.truth_detector import visible_fraction
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import STANDING, TRAVERSING
@@ -88,53 +88,6 @@ def test_only_people_the_camera_shows_are_seen():
     assert fraction(begin(Scene([(3.0, 0.0)], plan=wall))[0], 3.0, 0.0) == pytest.approx(0.5, abs=0.12)
 
 
-def test_tracker_learns_a_constant_velocity_and_keeps_identity_through_a_crossing():
-    tracks = allocate_tracks(1)
-    for step in range(40):
-        t = 0.1 * step
-        rows = np.array(
-            [[5.0 - t, 1.0 - 0.5 * t, 0.25, 1.7], [5.0 - t, -1.5 + 0.5 * t, 0.25, 1.7]]
-        )  # 1 m apart at worst
-        update_tracks(tracks, 0, rows[:: 1 if step % 2 else -1].copy(), 0.1)
-    live = np.flatnonzero(tracks.hits[0])
-    assert len(live) == 2 and (tracks.hits[0, live] == 40).all()
-    velocity = tracks.state[0, live, 2:]
-    np.testing.assert_allclose(sorted(velocity.tolist()), [[-1.0, -0.5], [-1.0, 0.5]], atol=0.05)
-
-
-def test_tracks_coast_and_are_given_up():
-    tracks = allocate_tracks(1)
-    for step in range(10):
-        update_tracks(tracks, 0, np.array([[5.0 - 0.1 * step, 0.0, 0.25, 1.7]]), 0.1)
-    nothing = np.zeros((0, 4))
-    for _ in range(int(MAX_COAST_S / 0.1)):
-        update_tracks(tracks, 0, nothing, 0.1)
-    assert tracks.hits[0].any()
-    assert tracks.state[0, tracks.hits[0] > 0, 0] == pytest.approx([4.1 - 1.0], abs=0.05)
-    update_tracks(tracks, 0, nothing, 0.1)
-    assert not tracks.hits[0].any()
-
-
-def test_kalman_agrees_with_the_textbook_matrix_form():
-    tracks = allocate_tracks(1)
-    rng = np.random.default_rng(0)
-    dt, q, r = 0.1, 1.0, 0.05**2
-    transition = np.array([[1, dt], [0, 1]])
-    noise = q * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
-    state, cov = None, np.diag([r, 1.0])
-    for step in range(30):
-        z = 0.08 * step + rng.normal(0, 0.05)
-        update_tracks(tracks, 0, np.array([[z, 0.0, 0.25, 1.7]]), dt)
-        if state is None:
-            state = np.array([z, 0.0])
-            continue
-        state, cov = transition @ state, transition @ cov @ transition.T + noise
-        gain = cov[:, 0] / (cov[0, 0] + r)
-        state = state + gain * (z - state[0])
-        cov = cov - np.outer(gain, cov[0])
-        np.testing.assert_allclose(tracks.state[0, 0, [0, 2]], state, rtol=1e-9)
-
-
 def expected_frame(boxes) -> np.ndarray:
     image = np.full((CAMERA.height, CAMERA.width), 255, np.uint8)
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
@@ -145,7 +98,9 @@ def expected_frame(boxes) -> np.ndarray:
 
 def test_prediction_frame_is_black_where_people_will_be_when_the_robot_has_moved():
     tracks = allocate_tracks(1)
-    tracks.hits[0, :2] = 5
+    tracks.live[0, :3] = tracks.confirmed[0, :2] = True
+    tracks.state[0, 2] = 2.0, 0.0, 0.0, 0.0  # perhaps a person: not drawn
+    tracks.body[0, 2] = 0.25, 1.7
     tracks.state[0, 0] = 4.0, 0.5, -1.0, 0.2
     tracks.state[0, 1] = 3.0, -1.0, 0.0, 0.5
     tracks.body[0, :2] = 0.25, 1.7

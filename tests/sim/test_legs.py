@@ -47,6 +47,7 @@ def test_the_extractor_measures_two_discs_and_joins_them_when_they_come_near():
     assert elsewhere.shown.tolist() == [0]
 
 
+@pytest.mark.slow
 def test_the_extractor_finds_what_is_known_of_the_real_scans(both):
     real, _ = both
     assert len(real.width_m) > 900 and len(real.separation_m) > 250
@@ -54,6 +55,7 @@ def test_the_extractor_finds_what_is_known_of_the_real_scans(both):
     assert np.median(real.separation_m) == pytest.approx(SEPARATION_M, rel=0.03)
 
 
+@pytest.mark.slow
 def test_simulated_legs_match_the_real_scans(both):
     real, simulated = both
     for name in ("width_m", "separation_m"):

@@ -154,7 +154,7 @@ def _conditions(results: dict) -> str:
     """What a table must name (BENCHMARK.md, Figures)."""
     cells = results["cells"]
     lines = [f"- definition {results['definition']}"]
-    for name in ("people", "dynamics", "sensors", "episodes"):
+    for name in ("people", "pace", "motion", "dynamics", "sensors", "episodes"):
         lines.append(f"- {name}: {', '.join(str(value) for value in _unique(cells, name))}")
     lines.append(f"- seeds: {', '.join(f'{first} to {last}' for first, last in _unique(cells, 'seeds'))}")
     for navigator in _unique(cells, "navigator"):

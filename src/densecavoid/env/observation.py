@@ -12,9 +12,12 @@ import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, choose, goal_polar, require
+from densecavoid.perception.detections import allocate_detections
 from densecavoid.perception.prediction_frame import FREE, draw_prediction
-from densecavoid.perception.tracker import Tracks, allocate_tracks, forget, update_tracks
+from densecavoid.perception.tracker import Sighting, Tracker
+from densecavoid.perception.tracks import Tracks
 from densecavoid.perception.truth_detector import detect_from_truth
+from densecavoid.perception.visibility import camera_view
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
 
 SCANS = 3
@@ -84,29 +87,15 @@ def _observe(
                 camera[b, v, u] = np.uint8(1.5 + scale * (camera_max - d)) if inside else np.uint8(0)
 
 
+_TRUTH_STD_M, _TRUTH_CONFIDENCE = 0.05, 0.99
+
+
 @kernel
-def _follow_people(
-    first,
-    last,
-    which,
-    depth,
-    odom_pose,
-    velocity,
-    true_pose,
-    pos,
-    radius,
-    height,
-    active,
-    tracks,
-    horizon_s,
-    dt,
-    focal_x,
-    focal_y,
-    camera_height,
-    prediction,
+def _find_people(
+    first, last, which, depth, odom_pose, true_pose, pos, radius, height, active, focal_x, focal_y, camera_height, out
 ):
-    """Detects (from truth), tracks and predicts the people of each world, and draws the prediction frame."""
-    found = np.empty((tracks.hits.shape[1], 4))
+    """Detects the people of each world from truth."""
+    found = np.empty((out.pos.shape[1], 4))
     for b in range(first, last):
         if not which[b]:
             continue
@@ -117,21 +106,22 @@ def _follow_people(
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         for d in range(count):
             forward, left = found[d, 0], found[d, 1]
-            found[d, 0] = pose[0] + cos * forward - sin * left
-            found[d, 1] = pose[1] + sin * forward + cos * left
-        update_tracks(tracks, b, found[:count], dt)
-        draw_prediction(
-            prediction[b],
-            tracks,
-            b,
-            pose,
-            velocity[b, 0],
-            velocity[b, 1],
-            horizon_s,
-            focal_x,
-            focal_y,
-            camera_height,
-        )
+            out.pos[b, d, 0] = pose[0] + cos * forward - sin * left
+            out.pos[b, d, 1] = pose[1] + sin * forward + cos * left
+            out.body[b, d, 0], out.body[b, d, 1] = found[d, 2], found[d, 3]
+            out.std_m[b, d], out.confidence[b, d] = _TRUTH_STD_M, _TRUTH_CONFIDENCE
+        out.count[b] = count
+
+
+@kernel
+def _draw_people(
+    first, last, which, tracks, odom_pose, velocity, horizon_s, focal_x, focal_y, camera_height, prediction
+):
+    """Draws each world's prediction frame."""
+    for b in range(first, last):
+        if which[b]:
+            v, w = velocity[b, 0], velocity[b, 1]
+            draw_prediction(prediction[b], tracks, b, odom_pose[b], v, w, horizon_s, focal_x, focal_y, camera_height)
 
 
 class Observer:
@@ -147,19 +137,19 @@ class Observer:
         self._lidar = np.ones((num_worlds, SCANS, config.lidar.num_rays), np.float32)
         self._camera = np.zeros(shape, np.uint8)
         self._prediction = np.full(shape, FREE, np.uint8)
-        self._tracks = allocate_tracks(num_worlds)
+        self._tracker = Tracker(num_worlds, config.threads)
+        self._found = allocate_detections(num_worlds)
 
     @property
     def tracks(self) -> Tracks:
         """Everybody tracked now."""
-        return self._tracks
+        return self._tracker.tracks
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets the past of the marked worlds."""
         self._fresh[which] = True
         self._prediction[which] = FREE
-        for b in np.flatnonzero(which):
-            forget(self._tracks, int(b))
+        self._tracker.reset(which)
 
     def observe(self, frame: SensorFrame, which: Bool[np.ndarray, "B"] | None = None) -> Observation:
         """Takes in the next frame of the marked worlds (all, without `which`).
@@ -190,24 +180,34 @@ class Observer:
         )
         if config.people_from == "truth" and frame.truth is not None:
             people = frame.truth.people
+            camera = (*config.camera.focal_px, config.camera.mount_height_m)
             for_worlds(
-                _follow_people,
+                _find_people,
                 self.num_worlds,
                 threads,
                 which,
                 frame.depth_m,
                 frame.odom_pose,
-                frame.velocity,
                 frame.truth.robot_pose_w,
                 people.pos_w,
                 people.radius_m,
                 people.height_m,
                 people.active,
-                self._tracks,
+                *camera,
+                self._found,
+            )
+            seen = Sighting(self._found, camera_view(frame.depth_m, config.camera))
+            self._tracker.update(frame.odom_pose, config.control_dt_s, [seen], which)
+            for_worlds(
+                _draw_people,
+                self.num_worlds,
+                threads,
+                which,
+                self.tracks,
+                frame.odom_pose,
+                frame.velocity,
                 config.horizon_s,
-                config.control_dt_s,
-                *config.camera.focal_px,
-                config.camera.mount_height_m,
+                *camera,
                 self._prediction,
             )
         self._fresh[which] = False
@@ -222,7 +222,7 @@ class Observer:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """The memory of all worlds, as arrays."""
-        arrays = {f"tracks.{name}": value.copy() for name, value in self._tracks._asdict().items()}
+        arrays = {f"tracks.{name}": value for name, value in self._tracker.state_dict().items()}
         return arrays | {
             "fresh": self._fresh.copy(),
             "lidar": self._lidar.copy(),
@@ -233,7 +233,9 @@ class Observer:
     def load_state_dict(self, arrays: dict[str, np.ndarray]) -> None:
         """Goes on from a `state_dict`."""
         require(len(arrays["fresh"]) == self.num_worlds, "saved worlds", len(arrays["fresh"]), str(self.num_worlds))
-        self._tracks = Tracks(**{name: np.array(arrays[f"tracks.{name}"]) for name in Tracks._fields})
+        prefix = "tracks."
+        tracks = {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
+        self._tracker.load_state_dict(tracks)
         self._fresh, self._lidar = np.array(arrays["fresh"]), np.array(arrays["lidar"])
         self._camera, self._prediction = np.array(arrays["camera"]), np.array(arrays["prediction"])
 

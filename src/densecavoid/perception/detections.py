@@ -17,7 +17,7 @@ class Detections(NamedTuple):
     std_m: np.ndarray  # f64 [B, D] standard deviation of x and of y
     body: np.ndarray  # f64 [B, D, 2] radius, height in m; NaN where the sensor cannot tell
     confidence: np.ndarray  # f64 [B, D] in [0, 1], that it is a person
-    count: np.ndarray  # i32 [B]
+    count: np.ndarray  # i32 [B]  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 def allocate_detections(num_worlds: int) -> Detections:

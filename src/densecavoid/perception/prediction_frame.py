@@ -34,8 +34,8 @@ def draw_prediction(image, tracks, b, pose, linear, angular, horizon_s, focal_x,
         then[axis] = pose[axis]
     drive(then, linear, angular, horizon_s)
     cos, sin = math.cos(then[2]), math.sin(then[2])
-    for t in range(tracks.hits.shape[1]):
-        if tracks.hits[b, t] == 0:
+    for t in range(tracks.confirmed.shape[1]):
+        if not tracks.confirmed[b, t]:
             continue
         state = tracks.state[b, t]
         off_x = state[0] + state[2] * horizon_s - then[0]

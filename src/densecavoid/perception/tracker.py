@@ -1,140 +1,367 @@
-"""Tracks of people in the odometry frame: a constant-velocity Kalman filter each, matched to detections nearest first.
+"""Tracks of people in the odometry frame, from camera and lidar: a constant-velocity Kalman filter each.
 
-All worlds are tracked at once; a robot is a batch of one.
+Each sensor's detections are assigned to the tracks and taken in one sensor after the other, so that what both see
+becomes one track. Tracks are born and die by evidence: a detection counts for a person's being there, a miss counts
+against it as far as the sensor ought to have seen them. All worlds are tracked at once; a robot is a batch of one.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from densecavoid.sim._jit import inner, kernel
+from densecavoid.frames import require
+from densecavoid.perception.assignment import NOBODY, settle_contested, settle_uncontested
+from densecavoid.perception.detections import MAX_DETECTIONS, Detections
+from densecavoid.perception.kalman import kalman_correct, kalman_predict
+from densecavoid.perception.tracks import HISTORY, HISTORY_DT_S, MAX_TRACKS, Tracks, allocate_tracks, forget, remember
+from densecavoid.perception.visibility import CameraView, LidarView, legs_seen_by_lidar, seen_by_camera
+from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
 
-MAX_TRACKS = 32
-GATE_M = 0.6  # a detection farther than this from every predicted track is somebody new
-MAX_COAST_S = 1.0  # a track not seen for longer is given up
-_ACCELERATION_STD = 1.0  # m/s2, how people's velocity wanders
-_MEASUREMENT_STD_M = 0.05
+ACCELERATION_STD = 1.0
+"""m/s2, how people's velocity wanders."""
+MAX_UNSEEN_S = 3.0
+"""A track not seen for longer is given up, whatever hides it."""
+TYPICAL_BODY = (0.255, 1.71)
+"""Radius and height in m of a person of whom only the legs are seen (adults: sim/people.py)."""
+
 _NEW_SPEED_STD = 1.0  # m/s
+_LEAST_STD_M = 0.02
+_FARTHEST_M = 1e4  # what is reported farther from the origin is no position
+_GATE = 13.8  # squared Mahalanobis distance that a person's own detection exceeds once in a thousand (chi2, 2 d.f.)
+_INSEPARABLE_M = 0.3  # nearer than that people do not stand (first percentile of neighbours' distances in crowds)
+_NEWCOMERS_PER_M2 = 0.01  # detections that belong to no track, in a frame
+_MOST_EVIDENCE, _LEAST_EVIDENCE = 4.0, -1.0  # log-odds: no more is counted; below that a track is given up
+_CONFIRMED = 2.0  # log-odds from which a track is surely a person's
+_GAIN = (-1.0, 2.0)  # least and most log-odds that one detection adds: one detector errs alike many times in a row
+_RATE_OF_FORGETTING = 0.4  # 1/s, log-odds that a track loses for as long as nobody sees it
+_MOST_MISSED = 0.7  # of people whom a sensor ought to see, the share of which a single miss convinces
+_MOVED_M, _MOVING = 0.5, 0.25  # m and m/s from which a track of legs alone is a person's: furniture stands
+_STEADY = 0.5  # share of a moving track's way that leads on; what flickers between things goes to and fro
+_UNUSABLE = -3  # in place of a track: beside assignment.NOBODY and CONTESTED
+_SAME_PERSON_M = 0.5  # a leg so near to a tracked person is theirs
 
 
-class Tracks(NamedTuple):
-    """Everybody tracked in each world. Position and velocity share one 2 x 2 covariance for x and y."""
+class Sighting(NamedTuple):
+    """What one sensor found, and what it looked at."""
 
-    state: np.ndarray  # f64 [B, T, 4] x, y, vx, vy in the odometry frame
-    covariance: np.ndarray  # f64 [B, T, 3] of position, position-velocity, velocity
-    body: np.ndarray  # f64 [B, T, 2] radius, height
-    unseen_s: np.ndarray  # f64 [B, T] since the last detection
-    hits: np.ndarray  # i32 [B, T] detections so far; 0: the slot is free
-    id: np.ndarray  # i32 [B, T]
-    next_id: np.ndarray  # i32 [B]
-
-
-def allocate_tracks(num_worlds: int) -> Tracks:
-    """No tracks in any world."""
-    return Tracks(
-        state=np.zeros((num_worlds, MAX_TRACKS, 4)),
-        covariance=np.zeros((num_worlds, MAX_TRACKS, 3)),
-        body=np.zeros((num_worlds, MAX_TRACKS, 2)),
-        unseen_s=np.zeros((num_worlds, MAX_TRACKS)),
-        hits=np.zeros((num_worlds, MAX_TRACKS), np.int32),
-        id=np.zeros((num_worlds, MAX_TRACKS), np.int32),
-        next_id=np.zeros(num_worlds, np.int32),
-    )
+    detections: Detections
+    view: CameraView | LidarView
 
 
 @kernel
-def forget(tracks, b):
-    """Drops all tracks of world b."""
-    tracks.hits[b] = 0
-    tracks.next_id[b] = 0
+def _predict(first, last, which, tracks, dt):
+    for b in range(first, last):
+        if which[b]:
+            for t in range(tracks.live.shape[1]):
+                if tracks.live[b, t]:
+                    kalman_predict(tracks.state[b, t], tracks.covariance[b, t], dt, ACCELERATION_STD)
+                    tracks.unseen_s[b, t] += dt
+                    tracks.existence[b, t] -= _RATE_OF_FORGETTING * dt
 
 
 @inner
-def _predict(tracks, b, dt):
-    """Kalman prediction with white acceleration noise (Bar-Shalom, Li, Kirubarajan 2001, section 6.2.3)."""
-    q = _ACCELERATION_STD**2
-    for t in range(tracks.hits.shape[1]):
-        if tracks.hits[b, t] == 0:
+def _is_usable(detections, b, d):
+    x, y = detections.pos[b, d, 0], detections.pos[b, d, 1]
+    near = abs(x) < _FARTHEST_M and abs(y) < _FARTHEST_M  # NaN is not
+    return near and detections.std_m[b, d] < _FARTHEST_M and detections.confidence[b, d] > 0.0
+
+
+@kernel
+def _score(tracks, b, detections, rows, columns, scores):
+    """Log-likelihood that each detection of `rows` comes from each track of `columns`, over that it is somebody new
+    (Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, section 6.2). Where two people cannot
+    stand it is the track's at the worst, whatever the filter thinks of it."""
+    for i in range(len(rows)):
+        d = rows[i]
+        std = max(detections.std_m[b, d], _LEAST_STD_M)
+        for j in range(len(columns)):
+            t = columns[j]
+            variance = tracks.covariance[b, t, 0] + std * std
+            off_x = detections.pos[b, d, 0] - tracks.state[b, t, 0]
+            off_y = detections.pos[b, d, 1] - tracks.state[b, t, 1]
+            off2 = off_x * off_x + off_y * off_y
+            gain = 0.0
+            if off2 < _GATE * variance:
+                gain = -math.log(2.0 * math.pi * variance * _NEWCOMERS_PER_M2) - 0.5 * off2 / variance
+            if off2 < _INSEPARABLE_M**2:
+                gain = max(gain, 1e-3 * (_INSEPARABLE_M**2 - off2))
+            scores[i, j] = gain
+
+
+@kernel
+def _assign(first, last, which, tracks, detections, match, scores, contested):
+    """Writes the track of each detection into `match` [B, D], and the scores of worlds that are `contested`."""
+    slots, room = tracks.live.shape[1], detections.pos.shape[1]
+    rows, columns = np.empty(room, np.int32), np.empty(slots, np.int32)
+    for b in range(first, last):
+        contested[b] = False
+        if not which[b]:
             continue
-        state, cov = tracks.state[b, t], tracks.covariance[b, t]
-        state[0] += state[2] * dt
-        state[1] += state[3] * dt
-        cov[0] += 2.0 * dt * cov[1] + dt * dt * cov[2] + q * dt**4 / 4.0
-        cov[1] += dt * cov[2] + q * dt**3 / 2.0
-        cov[2] += q * dt * dt
-        tracks.unseen_s[b, t] += dt
-        if tracks.unseen_s[b, t] > MAX_COAST_S:
-            tracks.hits[b, t] = 0
+        num_rows = num_columns = 0
+        for d in range(room):
+            match[b, d] = _UNUSABLE
+            if d < detections.count[b] and _is_usable(detections, b, d):
+                match[b, d] = NOBODY
+                rows[num_rows] = d
+                num_rows += 1
+        for t in range(slots):
+            if tracks.live[b, t]:
+                columns[num_columns] = t
+                num_columns += 1
+        table = np.zeros((num_rows, num_columns))
+        _score(tracks, b, detections, rows[:num_rows], columns[:num_columns], table)
+        mine = np.empty(num_rows, np.int32)
+        contested[b] = settle_uncontested(table, mine)
+        if contested[b]:
+            scores[b] = 0.0
+        for i in range(num_rows):
+            match[b, rows[i]] = columns[mine[i]] if mine[i] >= 0 else mine[i]
+            if contested[b]:
+                for j in range(num_columns):
+                    scores[b, rows[i], columns[j]] = table[i, j]
+
+
+@kernel
+def _mark_missed(tracks, b, match, missed):
+    for t in range(tracks.live.shape[1]):
+        missed[t] = tracks.live[b, t]
+    for d in range(match.shape[1]):
+        if match[b, d] >= 0:
+            missed[match[b, d]] = False
+
+
+@kernel
+def _camera_misses(first, last, which, tracks, match, pose, view, chance):
+    """How surely the camera ought to have seen each track that got no detection, into `chance` [B, T]; 0 of others."""
+    missed = np.empty(tracks.live.shape[1], np.bool_)
+    for b in range(first, last):
+        if which[b]:
+            _mark_missed(tracks, b, match, missed)
+            for t in range(len(missed)):
+                state, body = tracks.state[b, t], tracks.body[b, t]
+                chance[b, t] = 0.0
+                if missed[t]:
+                    chance[b, t] = seen_by_camera(view, b, pose[b], state[0], state[1], body[0], body[1])
+
+
+@kernel
+def _lidar_misses(first, last, which, tracks, match, pose, view, chance):
+    """The same of the lidar and a track's legs. Beside things legs are often taken for a part of them, so only rays
+    that pass where they should be tell much."""
+    missed = np.empty(tracks.live.shape[1], np.bool_)
+    for b in range(first, last):
+        if which[b]:
+            _mark_missed(tracks, b, match, missed)
+            for t in range(len(missed)):
+                chance[b, t] = 0.0
+                if missed[t]:
+                    reached, through = legs_seen_by_lidar(
+                        view, b, pose[b], tracks.state[b, t, 0], tracks.state[b, t, 1]
+                    )
+                    chance[b, t] = through if through > 0.9 else 0.3 * reached
 
 
 @inner
-def _correct(tracks, b, t, x, y, radius, height):
-    state, cov = tracks.state[b, t], tracks.covariance[b, t]
-    innovation = cov[0] + _MEASUREMENT_STD_M**2
-    gain_pos, gain_vel = cov[0] / innovation, cov[1] / innovation
-    miss_x, miss_y = x - state[0], y - state[1]
-    state[0] += gain_pos * miss_x
-    state[1] += gain_pos * miss_y
-    state[2] += gain_vel * miss_x
-    state[3] += gain_vel * miss_y
-    cov[2] -= gain_vel * cov[1]
-    cov[1] *= 1.0 - gain_pos
-    cov[0] *= 1.0 - gain_pos
-    tracks.body[b, t, 0], tracks.body[b, t, 1] = radius, height
+def _evidence(confidence):
+    """Log-odds that a detection adds."""
+    sure = min(max(confidence, 0.01), 0.99)
+    return min(max(math.log(sure / (1.0 - sure)) + 0.7, _GAIN[0]), _GAIN[1])
+
+
+@inner
+def _take_in(tracks, b, t, detections, d, from_camera):
+    std = max(detections.std_m[b, d], _LEAST_STD_M)
+    kalman_correct(tracks.state[b, t], tracks.covariance[b, t], detections.pos[b, d, 0], detections.pos[b, d, 1], std)
+    for k in range(2):
+        size = detections.body[b, d, k]
+        if 0.0 < size < 3.0:
+            known = tracks.by_camera[b, t]
+            tracks.body[b, t, k] += (0.3 if known else 1.0) * (size - tracks.body[b, t, k])
+    tracks.by_camera[b, t] |= from_camera
+    gain = _evidence(detections.confidence[b, d])
+    tracks.existence[b, t] = min(tracks.existence[b, t] + gain, _MOST_EVIDENCE)
     tracks.unseen_s[b, t] = 0.0
     tracks.hits[b, t] += 1
 
 
 @inner
-def _begin_track(tracks, b, x, y, radius, height):
-    for t in range(tracks.hits.shape[1]):
-        if tracks.hits[b, t] == 0:
-            tracks.state[b, t, 0], tracks.state[b, t, 1] = x, y
-            tracks.state[b, t, 2], tracks.state[b, t, 3] = 0.0, 0.0
-            tracks.covariance[b, t, 0] = _MEASUREMENT_STD_M**2
-            tracks.covariance[b, t, 1] = 0.0
-            tracks.covariance[b, t, 2] = _NEW_SPEED_STD**2
-            tracks.body[b, t, 0], tracks.body[b, t, 1] = radius, height
-            tracks.unseen_s[b, t] = 0.0
-            tracks.hits[b, t] = 1
-            tracks.id[b, t] = tracks.next_id[b]
-            tracks.next_id[b] += 1
-            return
+def _begin(tracks, b, detections, d, from_camera, beside_another):
+    """A new track, in a free slot or else in that of the least likely unconfirmed track, if that is less likely."""
+    std = max(detections.std_m[b, d], _LEAST_STD_M)
+    sure = min(max(detections.confidence[b, d], 0.05), 0.95)
+    existence = math.log(sure / (1.0 - sure))
+    if beside_another:  # it may be a gross error about the other: let it be seen again
+        existence = min(existence, 0.0)
+    slot, least = -1, np.inf if from_camera else existence
+    for t in range(tracks.live.shape[1]):
+        worth = tracks.existence[b, t] if tracks.live[b, t] else -np.inf
+        if not (tracks.live[b, t] and tracks.confirmed[b, t]) and worth < least:
+            slot, least = t, worth
+    if slot < 0:
+        return
+    tracks.state[b, slot, 0], tracks.state[b, slot, 1] = detections.pos[b, d, 0], detections.pos[b, d, 1]
+    tracks.state[b, slot, 2] = tracks.state[b, slot, 3] = 0.0
+    tracks.covariance[b, slot, 0] = std * std
+    tracks.covariance[b, slot, 1] = 0.0
+    tracks.covariance[b, slot, 2] = _NEW_SPEED_STD**2
+    for k in range(2):
+        size = detections.body[b, d, k]
+        tracks.body[b, slot, k] = size if 0.0 < size < 3.0 else TYPICAL_BODY[k]
+    tracks.existence[b, slot] = existence
+    tracks.live[b, slot], tracks.confirmed[b, slot], tracks.by_camera[b, slot] = True, False, from_camera
+    tracks.unseen_s[b, slot] = 0.0
+    tracks.hits[b, slot] = 1
+    tracks.history_count[b, slot] = 0
+    tracks.id[b, slot] = tracks.next_id[b]
+    tracks.next_id[b] += 1
+
+
+@inner
+def _is_tracked_near(tracks, b, slots, x, y):
+    for t in range(slots):
+        off_x, off_y = x - tracks.state[b, t, 0], y - tracks.state[b, t, 1]
+        if tracks.live[b, t] and off_x * off_x + off_y * off_y < _SAME_PERSON_M**2:
+            return True
+    return False
 
 
 @kernel
-def update_tracks(tracks, b, detections, dt):
-    """Takes in the detections [D, 4] (x, y in the odometry frame, radius, height) of world b, `dt` s after the last."""
-    _predict(tracks, b, dt)
-    num_detections, num_tracks = detections.shape[0], tracks.hits.shape[1]
-    taken = np.zeros(num_tracks, np.bool_)
-    used = np.zeros(num_detections, np.bool_)
-    for _ in range(num_detections):
-        best, best_d, best_t = GATE_M * GATE_M, -1, -1
-        for d in range(num_detections):
-            if used[d]:
+def _take_in_all(first, last, which, tracks, detections, match, chance, from_camera):
+    """Corrects the tracks, counts the misses, begins new tracks."""
+    slots, room = tracks.live.shape[1], detections.pos.shape[1]
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        for d in range(room):
+            if match[b, d] >= 0:
+                _take_in(tracks, b, match[b, d], detections, d, from_camera)
+        for t in range(slots):
+            if tracks.live[b, t] and chance[b, t] > 0.0:
+                tracks.existence[b, t] += math.log(1.0 - _MOST_MISSED * chance[b, t])
+        for d in range(room):
+            if match[b, d] == NOBODY:
+                x, y = detections.pos[b, d, 0], detections.pos[b, d, 1]
+                beside_another = _is_tracked_near(tracks, b, slots, x, y)
+                if from_camera or not beside_another:
+                    _begin(tracks, b, detections, d, from_camera, beside_another)
+
+
+@inner
+def _walks(tracks, b, t):
+    """Whether a track has come so far, so straight, that it is no piece of furniture."""
+    count = tracks.history_count[b, t]
+    if count < 5 or math.hypot(tracks.state[b, t, 2], tracks.state[b, t, 3]) < _MOVING:
+        return False
+    history, way = tracks.history[b, t], 0.0
+    for k in range(HISTORY - count + 1, HISTORY):
+        way += math.hypot(history[k, 0] - history[k - 1, 0], history[k, 1] - history[k - 1, 1])
+    first = HISTORY - count
+    moved = math.hypot(history[HISTORY - 1, 0] - history[first, 0], history[HISTORY - 1, 1] - history[first, 1])
+    return moved > _MOVED_M and moved > _STEADY * way
+
+
+@kernel
+def _judge(first, last, which, tracks, dt):
+    """Confirms tracks, gives up others, and keeps their histories."""
+    for b in range(first, last):
+        if not which[b]:
+            continue
+        tracks.clock_s[b] += dt
+        for t in range(tracks.live.shape[1]):
+            if not tracks.live[b, t]:
                 continue
-            for t in range(num_tracks):
-                if tracks.hits[b, t] == 0 or taken[t]:
-                    continue
-                off_x = detections[d, 0] - tracks.state[b, t, 0]
-                off_y = detections[d, 1] - tracks.state[b, t, 1]
-                if off_x * off_x + off_y * off_y < best:
-                    best, best_d, best_t = off_x * off_x + off_y * off_y, d, t
-        if best_d < 0:
-            break
-        used[best_d] = taken[best_t] = True
-        _correct(
-            tracks,
-            b,
-            best_t,
-            detections[best_d, 0],
-            detections[best_d, 1],
-            detections[best_d, 2],
-            detections[best_d, 3],
-        )
-    for d in range(num_detections):
-        if not used[d]:
-            _begin_track(tracks, b, detections[d, 0], detections[d, 1], detections[d, 2], detections[d, 3])
+            if not tracks.existence[b, t] > _LEAST_EVIDENCE or not tracks.unseen_s[b, t] < MAX_UNSEEN_S:
+                tracks.live[b, t] = tracks.confirmed[b, t] = False
+                continue
+            ago = tracks.clock_s[b] - HISTORY_DT_S
+            while ago > -1e-6:
+                if ago < 1e-6 or tracks.hits[b, t] > 1:  # who has only just been found was nowhere before
+                    remember(tracks, b, t, max(ago, 0.0))
+                ago -= HISTORY_DT_S
+            if tracks.existence[b, t] > _CONFIRMED and not tracks.confirmed[b, t]:
+                tracks.confirmed[b, t] = tracks.by_camera[b, t] or _walks(tracks, b, t)
+        while tracks.clock_s[b] > HISTORY_DT_S - 1e-6:
+            tracks.clock_s[b] = max(tracks.clock_s[b] - HISTORY_DT_S, 0.0)
+
+
+class Tracker:
+    """The tracks of B worlds, and how they go on."""
+
+    def __init__(self, num_worlds: int, threads: int = 0) -> None:
+        """No tracks yet.
+
+        Args:
+            num_worlds: B.
+            threads: over the worlds; 0 takes all cores.
+        """
+        require(num_worlds >= 1, "num_worlds", num_worlds, "at least 1")
+        self.tracks = allocate_tracks(num_worlds)
+        self.threads = threads
+        self._num_worlds = num_worlds
+        self._match = np.empty((num_worlds, MAX_DETECTIONS), np.int32)
+        self._scores = np.zeros((num_worlds, MAX_DETECTIONS, MAX_TRACKS))
+        self._contested = np.zeros(num_worlds, np.bool_)
+        self._chance = np.zeros((num_worlds, MAX_TRACKS))
+
+    def reset(self, which: np.ndarray) -> None:
+        """Drops the tracks of the marked worlds (bool [B])."""
+        for b in np.flatnonzero(which):
+            forget(self.tracks, int(b))
+
+    def update(
+        self, pose_odom: np.ndarray, dt_s: float, sightings: Sequence[Sighting], which: np.ndarray | None = None
+    ) -> Tracks:
+        """Takes in what the sensors found, in the order of `sightings`, `dt_s` after the last update.
+
+        Detections that are not finite, or lie absurdly far, are passed over.
+
+        Args:
+            pose_odom: f64 [B, 3] x, y, yaw of the robots in the odometry frame, now.
+            dt_s: Seconds.
+            sightings: Camera first: a leg beside somebody whom it sees is theirs. A sensor that has nothing new is left
+                out, and then misses nobody.
+            which: bool [B] worlds to update; all, if left out.
+
+        Returns:
+            The tracks, in arrays that the next update writes again.
+
+        Raises:
+            ValueError: if `dt_s` is negative or not finite, or an array is of another batch.
+        """
+        require(math.isfinite(dt_s) and dt_s >= 0.0, "dt_s", dt_s, "0 or more, and finite")
+        require(pose_odom.shape == (self._num_worlds, 3), "pose_odom", pose_odom.shape, f"({self._num_worlds}, 3)")
+        which = np.ones(self._num_worlds, np.bool_) if which is None else which
+        threads = threads_for(which, self.threads)
+
+        def each(function: object, *args: object) -> None:
+            for_worlds(function, self._num_worlds, threads, which, self.tracks, *args)  # type: ignore[arg-type]
+
+        each(_predict, dt_s)
+        for detections, view in sightings:
+            from_camera = isinstance(view, CameraView)
+            each(_assign, detections, self._match, self._scores, self._contested)
+            for b in np.flatnonzero(self._contested):
+                settle_contested(self._scores[b], self._match[b])
+            each(_camera_misses if from_camera else _lidar_misses, self._match, pose_odom, view, self._chance)
+            each(_take_in_all, detections, self._match, self._chance, from_camera)
+        each(_judge, dt_s)
+        return self.tracks
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """The tracks of all worlds, as arrays."""
+        return {name: value.copy() for name, value in self.tracks._asdict().items()}
+
+    def load_state_dict(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Goes on from a `state_dict` of as many worlds.
+
+        Raises:
+            ValueError: if it is of another number of worlds.
+        """
+        saved = len(arrays["next_id"])
+        require(saved == self._num_worlds, "saved worlds", saved, str(self._num_worlds))
+        for name, array in self.tracks._asdict().items():
+            array[:] = arrays[name]

@@ -269,9 +269,15 @@ def surfaces_at(state, b, points, top, meshes, distances):
 
 
 @inner
-def _scan_world(state, b, ranges, hits, ray_x, ray_y, lidar):
+def _mounted(state, b, ahead):
+    """Where what is mounted `ahead` of the centre of the robot in world b is, and its yaw."""
     x, y, yaw = state.robot_pose[b]
-    pose = (x + math.cos(yaw) * lidar.ahead, y + math.sin(yaw) * lidar.ahead, yaw)
+    return x + math.cos(yaw) * ahead, y + math.sin(yaw) * ahead, yaw
+
+
+@inner
+def _scan_world(state, b, ranges, hits, ray_x, ray_y, lidar):
+    pose = _mounted(state, b, lidar.ahead)
     motion = (state.robot_velocity[b, 0], state.robot_velocity[b, 1])
     boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
     cylinders = state.cylinders[b, : state.num_cylinders[b]]
@@ -296,8 +302,7 @@ def sense_level(first, last, state, which, scans, images, lidar, camera, scan_mo
         _scan_world(state, b, scans[b], hits, lidar.ray_x, lidar.ray_y, lidar)
         for r in range(scans.shape[1]):
             scans[b, r] = scans[b, r] if scans[b, r] <= scan_most else np.float32(np.inf)
-        x, y, yaw = state.robot_pose[b]
-        camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
+        camera_x, camera_y, yaw = _mounted(state, b, camera.ahead)
         boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
         cylinders = state.cylinders[b, : state.num_cylinders[b]]
         ceiling = state.ceiling_m[b]
@@ -325,8 +330,7 @@ def sense_hits(first, last, state, which, scans, images, scan_hits, image_hits, 
 @inner
 def picture(state, b, image, hits, camera):
     """Depths, however far, of world b as the camera on its robot sees it, and what each pixel shows."""
-    x, y, yaw = state.robot_pose[b]
-    camera_x, camera_y = x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead
+    camera_x, camera_y, yaw = _mounted(state, b, camera.ahead)
     boxes = state.boxes[b, : state.num_boxes[b] - state.num_glass[b]]
     cylinders = state.cylinders[b, : state.num_cylinders[b]]
     first_box, ceiling = state.cylinders.shape[1], state.ceiling_m[b]
@@ -341,7 +345,7 @@ def sense_meshes(first, last, state, which, scans, images, scan_hits, image_hits
     for b in range(first, last):
         if not which[b] or state.num_meshes[b] == 0:
             continue
-        x, y, yaw = state.robot_pose[b]
+        x, y, yaw = _mounted(state, b, lidar.ahead)
         if lidar.start < 0.0:
             linear, angular = state.robot_velocity[b]
             turn_rays(lidar, angular, ray_x, ray_y)
@@ -350,21 +354,19 @@ def sense_meshes(first, last, state, which, scans, images, scan_hits, image_hits
                 start_x[r], start_y[r] = linear * time, angular * lidar.ahead * time
         number = state.cylinders.shape[1] + state.boxes.shape[1]
         places = state.meshes[b, : state.num_meshes[b]]
-        pose = (x + math.cos(yaw) * lidar.ahead, y + math.sin(yaw) * lidar.ahead, lidar.height, yaw)
         rays, reach = (ray_x, ray_y, lidar.ray_z, start_x, start_y), float(lidar.max_range)
-        mesh_scan(scans[b], scan_hits[b], number, *pose, *rays, reach, places, meshes)
+        mesh_scan(scans[b], scan_hits[b], number, x, y, lidar.height, yaw, *rays, reach, places, meshes)
         picture_meshes(state, b, images[b], image_hits[b], camera, meshes)
 
 
 @inner
 def picture_meshes(state, b, image, hits, camera, meshes):
     """The same for a `picture`."""
-    x, y, yaw = state.robot_pose[b]
+    x, y, yaw = _mounted(state, b, camera.ahead)
     number = state.cylinders.shape[1] + state.boxes.shape[1]
     places = state.meshes[b, : state.num_meshes[b]]
-    pose = (x + math.cos(yaw) * camera.ahead, y + math.sin(yaw) * camera.ahead, camera.height, yaw)
     optics = (camera.column_slope, camera.row_slope, camera.pitch, float(camera.max_range))
-    mesh_depth(image, hits, number, *pose, *optics, places, meshes)
+    mesh_depth(image, hits, number, x, y, camera.height, yaw, *optics, places, meshes)
 
 
 @kernel

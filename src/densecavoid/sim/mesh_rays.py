@@ -70,6 +70,37 @@ def _seen_from(at, axes, vertex):
 
 
 @inner
+def _corners_from(at, axes, corners):
+    """The same of a triangle's three."""
+    return _seen_from(at, axes, corners[0]), _seen_from(at, axes, corners[1]), _seen_from(at, axes, corners[2])
+
+
+@inner
+def _in_frame(place, x, y, z, yaw):
+    """A sensor in the frame of a mesh that stands at `place`: where it is, cosine and sine of its yaw there."""
+    rel_x, rel_y = x - place[PLACE_X], y - place[PLACE_Y]
+    at_x = place[PLACE_COS] * rel_x + place[PLACE_SIN] * rel_y
+    at_y = place[PLACE_COS] * rel_y - place[PLACE_SIN] * rel_x
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    turn_cos = cos * place[PLACE_COS] + sin * place[PLACE_SIN]
+    turn_sin = sin * place[PLACE_COS] - cos * place[PLACE_SIN]
+    return (at_x, at_y, z - place[PLACE_Z]), turn_cos, turn_sin
+
+
+@inner
+def _middle_and_half(low, high, at):
+    """A bounding box's middle, from a place in the mesh's frame, and half its sizes."""
+    middle = (0.5 * (low[0] + high[0]) - at[0], 0.5 * (low[1] + high[1]) - at[1], 0.5 * (low[2] + high[2]) - at[2])
+    return middle, (0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2]))
+
+
+@inner
+def _reach(normal, half):
+    """How far a box reaches from its middle along a normal."""
+    return abs(normal[0]) * half[0] + abs(normal[1]) * half[1] + abs(normal[2]) * half[2]
+
+
+@inner
 def _single(a):
     return np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
 
@@ -119,32 +150,22 @@ def mesh_scan(
         position[r] = position[r - 1] + _apart(position[r - 1], position[r])
     for r in range(middle - 1, -1, -1):
         position[r] = position[r + 1] + _apart(position[r + 1], position[r])
-    cos, sin = math.cos(yaw), math.sin(yaw)
     number = first_hit_number
     for m in range(places.shape[0]):
         place = places[m]
         k = int(place[PLACE_NUMBER])
-        # The scanner in the mesh's frame; a direction there is one here turned by (turn_cos, turn_sin).
-        rel_x, rel_y = x - place[PLACE_X], y - place[PLACE_Y]
-        at_x = place[PLACE_COS] * rel_x + place[PLACE_SIN] * rel_y
-        at_y = place[PLACE_COS] * rel_y - place[PLACE_SIN] * rel_x
-        at_z = z - place[PLACE_Z]
-        at = (at_x, at_y, at_z)
-        turn_cos = cos * place[PLACE_COS] + sin * place[PLACE_SIN]
-        turn_sin = sin * place[PLACE_COS] - cos * place[PLACE_SIN]
+        # A direction of the scanner's is one in the mesh's frame turned by (turn_cos, turn_sin).
+        at, turn_cos, turn_sin = _in_frame(place, x, y, z, yaw)
         axes = ((turn_cos, turn_sin, 0.0), (-turn_sin, turn_cos, 0.0), (0.0, 0.0, 1.0))
-        plane_x, plane_y = turn_cos * plane[0] - turn_sin * plane[1], turn_sin * plane[0] + turn_cos * plane[1]
+        plane_there = (
+            turn_cos * plane[0] - turn_sin * plane[1], turn_sin * plane[0] + turn_cos * plane[1], plane[2]
+        )  # fmt: skip
         root, base = meshes.first_node[k], meshes.first_triangle[k]
         node, end = root, meshes.first_node[k + 1]
         while node < end:
-            low, high = meshes.node_low[node], meshes.node_high[node]
-            mid_x = 0.5 * (low[0] + high[0]) - at_x
-            mid_y = 0.5 * (low[1] + high[1]) - at_y
-            mid_z = 0.5 * (low[2] + high[2]) - at_z
-            half_x, half_y, half_z = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
-            off_x, off_y = max(abs(mid_x) - half_x, 0.0), max(abs(mid_y) - half_y, 0.0)
-            off_plane = abs(plane_x * mid_x + plane_y * mid_y + plane[2] * mid_z)
-            half_plane = abs(plane_x) * half_x + abs(plane_y) * half_y + abs(plane[2]) * half_z
+            middle_of_box, half = _middle_and_half(meshes.node_low[node], meshes.node_high[node], at)
+            off_x, off_y = max(abs(middle_of_box[0]) - half[0], 0.0), max(abs(middle_of_box[1]) - half[1], 0.0)
+            off_plane, half_plane = abs(_dot(plane_there, middle_of_box)), _reach(plane_there, half)
             reach = max_range + shift
             if off_x * off_x + off_y * off_y > reach * reach or off_plane > half_plane + leaves:
                 node = root + meshes.node_skip[node]
@@ -152,12 +173,7 @@ def mesh_scan(
             margin = 1e-6 + (1.6 * shift + 1e-6) / max(math.sqrt(off_x * off_x + off_y * off_y), 1e-9)
             first_triangle = base + meshes.node_first[node]
             for triangle in range(first_triangle, first_triangle + meshes.node_count[node]):
-                corners = meshes.corners[triangle]
-                a, b, c = (
-                    _seen_from(at, axes, corners[0]),
-                    _seen_from(at, axes, corners[1]),
-                    _seen_from(at, axes, corners[2]),
-                )
+                a, b, c = _corners_from(at, axes, meshes.corners[triangle])
                 a_off, b_off, c_off = _dot(plane, a), _dot(plane, b), _dot(plane, c)
                 if min(a_off, b_off, c_off) > leaves or max(a_off, b_off, c_off) < -leaves:
                     continue
@@ -207,12 +223,6 @@ def _side(forward, sideways, slope):
 
 
 @inner
-def _reach(normal, half):
-    """How far a box reaches from its middle along a normal."""
-    return abs(normal[0]) * half[0] + abs(normal[1]) * half[1] + abs(normal[2]) * half[2]
-
-
-@inner
 def _with_edge(around, a, b):
     """A rectangle of slopes grown by an edge's first corner, and by where the edge comes out of the camera's plane."""
     least_y, most_y, least_z, most_z = around
@@ -249,24 +259,17 @@ def mesh_depth(image, hits, first_hit_number, x, y, z, yaw, column_slope, row_sl
     for m in range(places.shape[0]):
         place = places[m]
         k = int(place[PLACE_NUMBER])
-        rel_x, rel_y = x - place[PLACE_X], y - place[PLACE_Y]
-        at_x = place[PLACE_COS] * rel_x + place[PLACE_SIN] * rel_y
-        at_y = place[PLACE_COS] * rel_y - place[PLACE_SIN] * rel_x
-        at_z = z - place[PLACE_Z]
-        cos = math.cos(yaw) * place[PLACE_COS] + math.sin(yaw) * place[PLACE_SIN]
-        sin = math.sin(yaw) * place[PLACE_COS] - math.cos(yaw) * place[PLACE_SIN]
+        at, cos, sin = _in_frame(place, x, y, z, yaw)
         # In the mesh's frame: the camera's axes, and normals (to the left, and up) of the four sides of its view.
         forward, leftward = (cos * cos_pitch, sin * cos_pitch, -sin_pitch), (-sin, cos, 0.0)
         upward = (cos * sin_pitch, sin * sin_pitch, cos_pitch)
-        at, axes = (at_x, at_y, at_z), (forward, leftward, upward)
+        axes = (forward, leftward, upward)
         side_0, side_1 = _side(forward, leftward, to_left), _side(forward, leftward, to_right)
         side_2, side_3 = _side(forward, upward, up), _side(forward, upward, down)
         root, base = meshes.first_node[k], meshes.first_triangle[k]
         node, end = root, meshes.first_node[k + 1]
         while node < end:
-            low, high = meshes.node_low[node], meshes.node_high[node]
-            middle = (0.5 * (low[0] + high[0]) - at_x, 0.5 * (low[1] + high[1]) - at_y, 0.5 * (low[2] + high[2]) - at_z)
-            half = (0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2]))
+            middle, half = _middle_and_half(meshes.node_low[node], meshes.node_high[node], at)
             ahead, deep = _dot(forward, middle), _reach(forward, half)
             seen = (ahead + deep > _NEAR_M) & (ahead - deep <= max_range)
             seen &= (_dot(side_0, middle) <= _reach(side_0, half)) & (_dot(side_1, middle) >= -_reach(side_1, half))
@@ -276,12 +279,7 @@ def mesh_depth(image, hits, first_hit_number, x, y, z, yaw, column_slope, row_sl
                 continue
             first_triangle = base + meshes.node_first[node]
             for triangle in range(first_triangle, first_triangle + meshes.node_count[node]):
-                corners = meshes.corners[triangle]
-                a, b, c = (
-                    _seen_from(at, axes, corners[0]),
-                    _seen_from(at, axes, corners[1]),
-                    _seen_from(at, axes, corners[2]),
-                )
+                a, b, c = _corners_from(at, axes, meshes.corners[triangle])
                 # The rectangle of pixels around its part before the camera.
                 around = _with_edge(_with_edge(_with_edge((np.inf, -np.inf, np.inf, -np.inf), a, b), b, c), c, a)
                 least_y, most_y, least_z, most_z = around

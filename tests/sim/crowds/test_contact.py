@@ -64,6 +64,19 @@ def test_who_stands_does_not_give_way_and_who_walks_does():
     assert gap > -0.005
 
 
+def test_two_whom_walls_hold_turn_their_shoulders_past_each_other():
+    """Side by side they need 1 m, and have .9."""
+    plan = FloorPlan()
+    for y in (-0.05, 0.95):
+        plan.wall(-5.0, y, 20.0, y)
+    sim = simulate(crowd([[0.0, 0.25], [3.0, 0.65]], [[15.0, 0.45], [15.0, 0.45]]), plan)
+    state = sim._state
+    state.pos[0, 1] = 0.0, 0.65  # a world that begins so is refused
+    go(sim, 0.1)
+    assert gap_of(state.pos[0, 1] - state.pos[0, 0], state.heading[0, 1], 0.25, state.heading[0, 0], 0.25)[0] > -0.005
+    assert depth_inside(plan, state.pos[0], np.full(2, 0.25)).max() < 0.01
+
+
 def depth_inside(plan: FloorPlan, pos, radius) -> np.ndarray:
     """How deep discs are in things, by plain formulas; positive inside."""
     deepest = np.full(len(pos), -np.inf)
@@ -149,4 +162,4 @@ def test_nobody_passes_a_wall_or_stays_in_anything_or_anybody(motion, density, s
             gap = gap_of(pos[i] - pos[j], heading[i], radius[i], heading[j], radius[j])[0]
             deep[i, j] = gap < -0.02 and (walks[i] or walks[j])
         overlapping_s = np.where(deep, overlapping_s + 0.05, 0.0)
-        assert overlapping_s.max() <= 1.5  # at 2.5 per m2 who is pushed from several sides parts within a second or so
+        assert overlapping_s.max() <= 0.5  # seeds are fixed: 2 of 250 dense halls hold somebody wedged for longer

@@ -18,9 +18,9 @@ ROBOT_GAP_M = 0.05
 MAX_RADIUS_M = 0.45
 """Nobody is wider than twice this (`Crowd` refuses them): bodies farther apart than that do not touch."""
 _SWEEPS = 2  # over all pairs, before things have their say
-_MAX_PUSH_M = 0.08  # by others in one step
-_MAX_STEP_M = 0.2  # in all: less than the radius, so that nobody is pushed through a wall
+_MAX_STEP_M = 0.2  # by walking and being pushed: less than the radius, so that nobody is pushed through a wall
 _TOUCH_M = 1e-4
+_GIVE_RAD = 0.1  # by which somebody held turns a shoulder out of another's way, each time
 
 
 @inner
@@ -68,13 +68,34 @@ def _stop_at(vel, x, y):
 
 
 @inner
-def _push(pos, vel, pushed, x, y, overlap):
-    """Moves a person by `overlap` along the unit normal; how far others have pushed them in this step."""
-    overlap = min(overlap, max(_MAX_PUSH_M - pushed, 0.0))
+def _push(pos, vel, x, y, overlap):
+    """Moves a person by `overlap` along the unit normal."""
     pos[0] += overlap * x
     pos[1] += overlap * y
     _stop_at(vel, x, y)
-    return pushed + overlap
+
+
+@inner
+def _push_from(before, pos, vel, x, y, overlap):
+    """The same by another person, and no farther than `_MAX_STEP_M` from where they were before this step."""
+    _push(pos, vel, x, y, overlap)
+    step_x, step_y = pos[0] - before[0], pos[1] - before[1]
+    step_2 = step_x * step_x + step_y * step_y
+    if step_2 > _MAX_STEP_M * _MAX_STEP_M:
+        scale = _MAX_STEP_M / math.sqrt(step_2)
+        pos[0], pos[1] = before[0] + scale * step_x, before[1] + scale * step_y
+
+
+@inner
+def _turn_aside(scene, i, scratch, x, y):
+    """Turns the shoulders of person i towards lying across the normal (x, y): so they reach the least way along it."""
+    heading, shoulder = scene.heading[i], scratch.shoulder[i]
+    reach, ahead = shoulder[0] * x + shoulder[1] * y, math.cos(heading) * x + math.sin(heading) * y
+    turn = math.atan2(abs(reach), abs(ahead) * (scene.radius[i] - half_depth(scene.radius[i])))
+    turn = min(turn, _GIVE_RAD) * (1.0 if (reach > 0.0) == (ahead > 0.0) else -1.0)
+    scene.heading[i] = heading + turn
+    scratch.before[i, 2] = scene.heading[i]  # so turned they stay, if they find no room
+    shoulder[0], shoulder[1] = shoulder_line(scene.heading[i], scene.radius[i])
 
 
 @inner
@@ -85,8 +106,13 @@ def _body_gap(off_x, off_y, line_i, line_j, radius_i, radius_j):
 
 @inner
 def part_bodies(scene, scratch):
-    """Moves overlapping people apart, half each; who stands does not give way. Whether any overlapped."""
-    pos, radius, push = scene.pos, scene.radius, scratch.push
+    """Moves overlapping people apart. Whether any overlapped.
+
+    Half each, but who stands does not give way, nor does who is held by things (`keep_out_of_things`) to one who is
+    free: two bodies would part by halves of halves, the held one pushed into the wall and back again. Where neither
+    gives way, shoulders turn.
+    """
+    pos, radius, before, held = scene.pos, scene.radius, scratch.before, scratch.held
     for sweep in range(_SWEEPS):
         touched = False
         for i in range(len(pos)):
@@ -106,11 +132,19 @@ def part_bodies(scene, scratch):
                 if gap >= 0.0:
                     continue
                 touched = True
-                share = 1.0 if i_stands or j_stands else 0.5
-                if not i_stands:
-                    push[i] = _push(pos[i], scene.vel[i], push[i], x, y, -share * gap)
-                if not j_stands:
-                    push[j] = _push(pos[j], scene.vel[j], push[j], -x, -y, -share * gap)
+                share = 0.5
+                if i_stands or j_stands:
+                    share = 0.0 if i_stands else 1.0
+                elif held[i] != held[j]:
+                    share = 0.0 if held[i] else 1.0
+                if held[i] and (held[j] or j_stands):
+                    _turn_aside(scene, i, scratch, x, y)
+                if held[j] and (held[i] or i_stands):
+                    _turn_aside(scene, j, scratch, x, y)
+                if share > 0.0:
+                    _push_from(before[i], pos[i], scene.vel[i], x, y, -share * gap)
+                if share < 1.0:
+                    _push_from(before[j], pos[j], scene.vel[j], -x, -y, -(1.0 - share) * gap)
         if not touched:
             return sweep > 0
     return True
@@ -128,7 +162,7 @@ def _out_of_things(scene, i, scratch, standing, robot_reach):
         off_x, off_y = pos[0] - scene.robot[0], pos[1] - scene.robot[1]
         distance = max(math.sqrt(off_x * off_x + off_y * off_y), 1e-6)
         if distance < radius + robot_reach:
-            _push(pos, vel, 0.0, off_x / distance, off_y / distance, radius + robot_reach - distance)
+            _push(pos, vel, off_x / distance, off_y / distance, radius + robot_reach - distance)
             count += 1
     for n in range(standing):
         j = scratch.near[n]
@@ -137,7 +171,7 @@ def _out_of_things(scene, i, scratch, standing, robot_reach):
             continue
         gap, x, y = _body_gap(off_x, off_y, scratch.shoulder[i], scratch.shoulder[j], radius, scene.radius[j])
         if gap < -_TOUCH_M:
-            _push(pos, vel, 0.0, x, y, -gap)
+            _push(pos, vel, x, y, -gap)
             count += 1
     near = scratch.num_things[i]
     for n in range(near if near <= MAX_THINGS else len(scene.boxes) + len(scene.pillars)):
@@ -155,7 +189,7 @@ def _out_of_things(scene, i, scratch, standing, robot_reach):
 def keep_out_of_things(scene, i, scratch, robot_reach):
     """Keeps person i out of walls, furniture, pillars and people who stand, and off the robot.
 
-    Where things leave no room, the person stays where they were, turned as they were.
+    Where things leave no room, the person stays where they were, turned as they were. Notes whom things held.
 
     Args:
         robot_reach: distance from the robot's centre that is left free; 0 for one who does not notice it.
@@ -166,9 +200,11 @@ def keep_out_of_things(scene, i, scratch, robot_reach):
             if scene.behaviour[scratch.near[n]] == STANDING:
                 scratch.near[standing] = scratch.near[n]
                 standing += 1
+    scratch.held[i] = False
     for _ in range(3):
         if _out_of_things(scene, i, scratch, standing, robot_reach) == 0:
             return
+        scratch.held[i] = True
     scene.pos[i, 0], scene.pos[i, 1], scene.heading[i] = x, y, scratch.before[i, 2]
     scene.vel[i, 0] = scene.vel[i, 1] = 0.0
     scratch.shoulder[i, 0], scratch.shoulder[i, 1] = shoulder_line(scene.heading[i], scene.radius[i])

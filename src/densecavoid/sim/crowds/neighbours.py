@@ -76,7 +76,7 @@ class Scratch(NamedTuple):
     velocity: np.ndarray  # f64 [P, 2] where each will go
     before: np.ndarray  # f64 [P, 3] where each was, and the heading
     turn: np.ndarray  # f64 [P] rad by which each turns their shoulders out of the way they go
-    push: np.ndarray  # f64 [P] metres that others have pushed each in this step
+    held: np.ndarray  # bool [P] whether things stopped each from being pushed farther
     near: np.ndarray  # i64 [P] the people around one
     seen: np.ndarray  # f64 [P + 1, 8] what a model notes of each of them, and of the robot
     things: np.ndarray  # i64 [P, MAX_THINGS] what stands near each: boxes, then pillars
@@ -99,7 +99,7 @@ def make_scratch(num_people):
         np.zeros((num_people, 2)),
         np.zeros((num_people, 3)),
         np.zeros(num_people),
-        np.zeros(num_people),
+        np.zeros(num_people, np.bool_),
         np.zeros(num_people, np.int64),
         np.zeros((num_people + 1, 8)),
         np.zeros((num_people, MAX_THINGS), np.int64),

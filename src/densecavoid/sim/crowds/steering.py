@@ -9,7 +9,7 @@ from densecavoid.sim.crowds.contact import ROBOT_GAP_M, keep_out_of_things, part
 from densecavoid.sim.crowds.neighbours import shoulder_line, walks
 from densecavoid.sim.people import YIELD, advance_gait
 
-_ROUNDS = 4  # of parting people and keeping them out of things, in a dense crowd
+_ROUNDS = 8  # of parting people and keeping them out of things, in a dense crowd
 _TURN_S = 0.2  # in which a walking person turns most of the way to where they go
 _MAX_TURN_RATE = 4.0  # rad/s
 _TURN_SPEED = 0.5  # m/s: who is slower turns more slowly, and shuffles without turning
@@ -28,7 +28,7 @@ def move_people(scene, phase, scratch, dt):
             # Turned before they part: shoulders that turn push others, too.
             scene.heading[i], phase[i] = walk(vel[i, 0], vel[i, 1], scene.heading[i], phase[i], scratch.turn[i], dt)
             scratch.shoulder[i, 0], scratch.shoulder[i, 1] = shoulder_line(scene.heading[i], scene.radius[i])
-    scratch.push[:] = 0.0
+    scratch.held[:] = False
     for _ in range(_ROUNDS):
         touched = part_bodies(scene, scratch)
         for i in range(len(pos)):

@@ -1,0 +1,1 @@
+"""How well people are found, tracked and predicted: tables and pictures."""
