@@ -67,6 +67,7 @@ def variants() -> dict[str, Callable[[TrainConfig], TrainConfig]]:
         "normalised-values": lambda config: replace(config, normalise_values=True),
         "normalised-inputs": lambda config: replace(config, normalise_inputs=True),
         "lasting-noise": lambda config: replace(config, noise_persistence=0.7),
+        "mirror": ppo(mirror=True),
         "whole-reward": ppo(reward_scale=1.0),
         "small-minibatches": ppo(minibatch_size=256),
         "large-minibatches": ppo(minibatch_size=2048),

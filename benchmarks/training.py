@@ -5,7 +5,7 @@ python benchmarks/training.py [--json FILE] [--network compact] [--worlds 64] [-
 Both sides step the same worlds with the same network and settings, each in a process of its own, one iteration in turn,
 so that what else the machine does meets both. Speeds are medians of iterations; `cpu` ones count processor time and do
 not depend on what else runs. Stable-Baselines3 is measured with all worlds handed over at once (the example's adapter),
-which is the fastest way it has.
+which is the fastest way it has; with `--singles` also with single environments, as its users begin.
 """
 
 from __future__ import annotations
@@ -75,15 +75,11 @@ class StableBaselines3:
         sys.path.insert(0, str(EXAMPLES))
         import stable_baselines3_ppo as example
 
-        from densecavoid.learning.worlds import make_training_envs
-        from densecavoid.scenarios import TRAINING
-
         config = settings(network, worlds)
-        env = make_training_envs(config, TRAINING[SCENARIO].at_level(LEVEL))[0]
         ppo = config.ppo
         self.steps = worlds * ROLLOUT
         self.ppo = example.make_ppo(
-            example.BatchedWorlds(env),
+            self._worlds(config),
             n_steps=ROLLOUT,
             batch_size=ppo.minibatch_size,
             n_epochs=ppo.epochs,
@@ -98,12 +94,34 @@ class StableBaselines3:
             device=config.torch_device,
         )
 
+    def _worlds(self, config: TrainConfig) -> Any:
+        import stable_baselines3_ppo as example
+
+        from densecavoid.learning.worlds import make_training_envs
+        from densecavoid.scenarios import TRAINING
+
+        return example.BatchedWorlds(make_training_envs(config, TRAINING[SCENARIO].at_level(LEVEL))[0])
+
     def iterate(self) -> int:
         self.ppo.learn(self.steps, reset_num_timesteps=False)
         return self.steps
 
 
-SIDES = {"ours": Ours, "sb3": StableBaselines3}
+class StableBaselines3Singles(StableBaselines3):
+    """The same with single environments, as `make_vec_env` makes them: what its users write first."""
+
+    def _worlds(self, config: TrainConfig) -> Any:
+        from stable_baselines3.common.vec_env import DummyVecEnv
+
+        from densecavoid.env import DenseCAvoidEnv
+        from densecavoid.learning.worlds import observer_config
+        from densecavoid.scenarios import TRAINING
+
+        scenario, observer = TRAINING[SCENARIO].at_level(LEVEL), observer_config(config)
+        return DummyVecEnv([lambda: DenseCAvoidEnv(scenario, config.sim, observer)] * config.num_envs)
+
+
+SIDES = {"ours": Ours, "sb3": StableBaselines3, "sb3_singles": StableBaselines3Singles}
 
 
 def work(side: str, network: str, worlds: int) -> None:
@@ -232,6 +250,7 @@ def main() -> None:
     parser.add_argument("--network", choices=("compact", "paper"), default="compact")
     parser.add_argument("--worlds", type=int, default=64)
     parser.add_argument("--rounds", type=int, default=5, help="iterations of each side")
+    parser.add_argument("--singles", action="store_true", help="compare with single environments too")
     parser.add_argument("--side", choices=tuple(SIDES), help=argparse.SUPPRESS)
     args = parser.parse_args()
     if importlib.util.find_spec("torch") is None:
@@ -241,17 +260,17 @@ def main() -> None:
         work(args.side, args.network, args.worlds)
         return
     peer = importlib.util.find_spec("stable_baselines3") is not None and args.network == "compact"
-    sides = ["ours", "sb3"] if peer else ["ours"]
+    sides = ["ours", *(["sb3"] if peer else []), *(["sb3_singles"] if peer and args.singles else [])]
     speeds = compare(sides, args.network, args.worlds, args.rounds)
     record: dict[str, Any] = {"network": args.network, "worlds": args.worlds, "cores": os.cpu_count()}
     for side, speed in speeds.items():
-        print(f"{side:>5}: {speed['wall']:7.0f} environment steps/s trained, {speed['cpu']:7.0f} a processor second")
+        print(f"{side:>11}: {speed['wall']:7.0f} environment steps/s trained, {speed['cpu']:7.0f} a processor second")
         record |= {f"env_steps_per_s{'' if side == 'ours' else '_' + side}": speed["wall"]}
         record |= {f"env_steps_per_cpu_s{'' if side == 'ours' else '_' + side}": speed["cpu"]}
-    if peer:
-        for clock, name in (("wall", "speedup_sb3"), ("cpu", "speedup_sb3_cpu")):
-            record[name] = speeds["ours"][clock] / speeds["sb3"][clock]
-            print(f"{record[name]:7.2f} times Stable-Baselines3's PPO by {clock} time")
+    for side in sides[1:]:
+        for clock, name in (("wall", f"speedup_{side}"), ("cpu", f"speedup_{side}_cpu")):
+            record[name] = speeds["ours"][clock] / speeds[side][clock]
+            print(f"{record[name]:7.2f} times {side} by {clock} time")
     record["profile"] = profile(args.network, args.worlds, args.rounds)
     for name, value in record["profile"].items():
         print(f"{value:9.2f} {name}")

@@ -40,7 +40,7 @@ def settings(run_dir: Path, processes: int, **changes: Any) -> TrainConfig:
         normalise_values=True,
         privileged_critic=True,
         noise_persistence=0.5,
-        ppo=PPOConfig(minibatch_size=64, learning_rate=5e-4, target_kl=0.01),
+        ppo=PPOConfig(mirror=True, minibatch_size=64, learning_rate=5e-4, target_kl=0.01),
         curriculum=CurriculumConfig(window=3, threshold=0.6, level_step=0.5),
         **changes,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -105,3 +106,32 @@ def test_every_variant_is_one_change_from_the_base(tmp_path: Path) -> None:
         changed = change(base)
         different = [field for field in vars(base) if getattr(base, field) != getattr(changed, field)]
         assert different == [] if name == "base" else 1 <= len(different) <= 2, name
+
+
+@pytest.mark.slow
+def test_figure_5_trains_what_is_missing_and_goes_on_where_it_was(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    small = {"num_envs": 2, "steps_per_rollout": 16, "threads": 1}
+    figure5.run_all(tmp_path, seeds=1, steps=32, **small)
+    assert [figure5.last_step(tmp_path / f"{sensors}-0") for sensors in figure5.SENSORS] == [32, 32]
+    figure5.run_all(tmp_path, seeds=1, steps=64, **small)
+    assert len(figure5.read_curve(tmp_path / "depth-lidar-0").reward) == 2
+    written = (tmp_path / "densecavoid-0" / "metrics.jsonl").read_bytes()
+    figure5.run_all(tmp_path, seeds=1, steps=64, **small)
+    assert (tmp_path / "densecavoid-0" / "metrics.jsonl").read_bytes() == written, "nothing is missing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("who", ["ours", "sb3"])
+def test_time_to_a_policy_can_be_measured_of_both_trainers(tmp_path: Path, who: str) -> None:
+    pytest.importorskip("torch")
+    if who == "sb3":
+        pytest.importorskip("stable_baselines3")
+    base = time_to_policy.base(tmp_path / "run")
+    config = dataclasses.replace(base, num_envs=2, steps_per_rollout=16, stage="random-goal", threads=1)
+    make = {"ours": time_to_policy.learner_of_ours, "sb3": time_to_policy.learner_of_stable_baselines3}[who]
+    steps, minutes, navigator = make(config)(32)
+    assert steps == 32 and minutes > 0
+    assert 0.0 <= time_to_policy.try_out(navigator, 1, ("random-goal",))["random-goal"] <= 1.0
+    steps, later, _ = make(config)(64)  # as a new process would
+    assert steps == 64 and later > minutes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import pytest
 
@@ -33,7 +34,8 @@ def test_stable_baselines3_is_told_of_time_limits_and_of_the_last_observation() 
 
     worlds = example.BatchedWorlds(example.densecavoid.make_vec("random-goal", 4))
     worlds.seed(0)
-    before = seen = worlds.reset()
+    before: Any = worlds.reset()
+    seen: Any = before
     done = np.zeros(4, bool)
     ends: list[dict] = []
     while not ends:

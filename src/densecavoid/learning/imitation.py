@@ -98,7 +98,7 @@ def imitate(
     unit = 1.0 if network.value_moments is None else network.value_moments.std
     parameters = list(network.parameters())
     totals, gradient_steps = torch.zeros(2, device=shown.device), 0
-    for index, size in minibatches(rollout, config.epochs, config.minibatch_size, generator, peers):
+    for index, size, _ in minibatches(rollout, config.epochs, config.minibatch_size, generator, peers):
         output = network(*take(observations, rollout.people, index))
         apart = ((output.mean - shown[index]) / network.limits).square().mean(dim=1).sum() / size
         wrong = value_loss(output.value / unit, old_values[index] / unit, flat_returns[index] / unit, 0.0).sum() / size

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from densecavoid.frames import choose, require
 from densecavoid.learning.gae import estimate_advantages
+from densecavoid.learning.mirror import mirror_action, mirror_observation, mirror_people
 from densecavoid.learning.peers import Peers
 from densecavoid.learning.rollout import Rollout, take
 from densecavoid.learning.shuffling import minibatches
@@ -54,6 +55,8 @@ class PPOConfig:
     """Gradients are scaled down to this norm."""
     learning_rate: float = 5e-4
     """Adam's, at the start."""
+    mirror: bool = False
+    """Learn from half of the samples, the other half in the next pass, with left and right exchanged."""
     schedule: Literal["fixed", "linear", "adaptive"] = "adaptive"
     """`fixed`, `linear` (to zero at the last step) or `adaptive` (keeps each update's KL near half of target_kl)."""
 
@@ -174,15 +177,19 @@ def update(
     parameters = list(network.parameters())
     totals = torch.zeros(4, device=actions.device)
     gradient_steps, stopped, kl, first_ratio_error = 0, False, 0.0, 0.0
-    for index, size in minibatches(rollout, config.epochs, config.minibatch_size, generator, peers):
+    for index, size, other_half in minibatches(rollout, config.epochs, config.minibatch_size, generator, peers):
         advantage = flat_advantages[index]
         if config.normalise_advantages == "minibatch":
             advantage = _normalised(advantage, peers)
-        output = network(*take(observations, rollout.people, index))
+        (seen, people), done = take(observations, rollout.people, index), actions[index]
+        as_it_was = torch.ones_like(other_half)
+        if config.mirror:
+            # What was done has the same probability in the mirror, under the policy in the mirror that did it.
+            seen, done, as_it_was = mirror_observation(seen, other_half), mirror_action(done, other_half), ~other_half
+            people = None if people is None else mirror_people(people, other_half)
+        output = network(seen, people)
         policy = DiagonalGaussian(output.mean, network.log_std)
-        losses_policy, ratio = policy_loss(
-            policy.log_prob(actions[index]), old_log_probs[index], advantage, config.clip
-        )
+        losses_policy, ratio = policy_loss(policy.log_prob(done), old_log_probs[index], advantage, config.clip)
         losses_value = value_loss(
             output.value / unit, old_values[index] / unit, flat_returns[index] / unit, config.value_clip
         )
@@ -192,12 +199,14 @@ def update(
         loss = loss_policy + config.value_weight * loss_value - config.entropy_weight * entropy / peers.count
 
         with torch.no_grad():
-            away = (ratio - 1.0).abs()
-            sums = [(ratio - 1.0 - ratio.log()).sum() / size, (away > config.clip).sum() / size]
-            figures = peers.sum(torch.stack([loss_policy, loss_value, loss, *sums]))
+            kept = ratio[as_it_was]
+            away = (kept - 1.0).abs()
+            sums = [(kept - 1.0 - kept.log()).sum(), (away > config.clip).sum(), as_it_was.sum()]
+            figures = peers.sum(torch.stack([loss_policy, loss_value, loss, *(each.float() for each in sums)]))
+            figures[3:5] /= figures[5].clamp(min=1.0)
             if gradient_steps == 0 and len(away) > 0:
                 first_ratio_error = float(away.max())
-        *parts, total, kl, _ = figures.tolist()
+        *parts, total, kl, _, _ = figures.tolist()
         if not math.isfinite(total):
             raise TrainingDivergedError(
                 f"the loss is {total} (policy {parts[0]}, value {parts[1]}, KL {kl}) at gradient step {gradient_steps} "

@@ -144,7 +144,7 @@ class Encoder(nn.Module):
             first, *others = convs
             # The first layer's windows in the order in which the second layer gathers them: it then finds its own side
             # by side. To sort bytes here is cheaper than to sort floats there, forward and backward.
-            gathered = tuple(others[0].weight.shape[2:]) if others else (1, 1)
+            gathered = (others[0].weight.shape[2], others[0].weight.shape[3]) if others else (1, 1)
             x = _image_patches(camera, prediction, (first.weight.shape[2], first.weight.shape[3]), gathered)
             # 0..255 is exact even in bfloat16; the scale goes into the weights, which are far fewer than the pixels.
             x = _product(x.to(self.compute_dtype), first.weight.flatten(1) / 255.0, first.bias)
