@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from densecavoid.benchmark import evaluate
+from densecavoid.benchmark.evaluate import evaluate
 from densecavoid.frames import Navigator
 
 if TYPE_CHECKING:

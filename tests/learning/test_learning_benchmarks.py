@@ -128,7 +128,8 @@ def test_time_to_a_policy_can_be_measured_of_both_trainers(tmp_path: Path, who: 
     if who == "sb3":
         pytest.importorskip("stable_baselines3")
     base = time_to_policy.base(tmp_path / "run")
-    config = dataclasses.replace(base, num_envs=2, steps_per_rollout=16, stage="random-goal", threads=1)
+    small = dataclasses.replace(base.ppo, minibatch_size=32)
+    config = dataclasses.replace(base, num_envs=2, steps_per_rollout=16, stage="random-goal", threads=1, ppo=small)
     make = {"ours": time_to_policy.learner_of_ours, "sb3": time_to_policy.learner_of_stable_baselines3}[who]
     steps, minutes, navigator = make(config)(32)
     assert steps == 32 and minutes > 0
