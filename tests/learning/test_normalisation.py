@@ -130,6 +130,7 @@ def test_places_are_mixed_in_by_their_share() -> None:
     assert 0.4 < np.mean([name == "random-goal" for name in found]) < 0.8 and len(set(found)) > 3
 
 
+@pytest.mark.slow  # compiles the kernels of real sensors
 def test_varied_worlds_are_groups_with_bodies_of_their_own() -> None:
     config = TrainConfig(num_envs=4, variety=VarietyConfig(bodies=2), privileged_critic=True)
     envs = make_training_envs(config, TRAINING["random-goal"], 0)

@@ -22,7 +22,11 @@ from densecavoid.sim.world import SimConfig
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Settings of `densecavoid train`."""
+    """Settings of `densecavoid train`.
+
+    A run is a folder. Ctrl-C saves it; `densecavoid train --resume --run-dir FOLDER` goes on. Several processes train one
+    policy with `torchrun --nproc_per_node N -m densecavoid.cli train ...`. More: docs/training.md.
+    """
 
     run_dir: Path = Path("runs/densecavoid")
     """Folder of the run: configuration, logs, checkpoints, policies."""
