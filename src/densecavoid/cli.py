@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -69,17 +70,23 @@ def _train(args: Sequence[str]) -> None:
     """train a policy with PPO in the paper's curriculum; --resume goes on with a run"""
     try:
         from densecavoid.learning.config import TrainConfig
-        from densecavoid.learning.trainer import resume, train
+        from densecavoid.learning.peers import PeerLostError
+        from densecavoid.learning.ppo import TrainingDivergedError
+        from densecavoid.learning.run import resume, train
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
-    if "--resume" in args:
-        rest = [arg for arg in args if arg != "--resume"]
-        again = tyro.cli(ResumeConfig, prog="densecavoid train --resume", args=rest)
-        result = resume(again.run_dir, again.total_steps, again.max_minutes, again.threads)
-    else:
-        config = tyro.cli(TrainConfig, prog="densecavoid train", args=args)
-        result = train(config)
-    print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
+    try:
+        if "--resume" in args:
+            rest = [arg for arg in args if arg != "--resume"]
+            again = tyro.cli(ResumeConfig, prog="densecavoid train --resume", args=rest)
+            result = resume(again.run_dir, again.total_steps, again.max_minutes, again.threads)
+        else:
+            config = tyro.cli(TrainConfig, prog="densecavoid train", args=args)
+            result = train(config)
+    except (PeerLostError, TrainingDivergedError) as error:
+        raise ValueError(str(error)) from None
+    if os.environ.get("RANK", "0") == "0":  # under torchrun, the first process speaks for all
+        print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
 def _train_detector(args: Sequence[str]) -> None:

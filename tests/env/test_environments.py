@@ -206,3 +206,37 @@ def test_angles_and_goals_by_hand():
     np.testing.assert_allclose(wrap_angle(np.array([math.pi, -3.5 * math.pi, 0.1])), [-math.pi, math.pi / 2, 0.1])
     distance, bearing = goal_polar(np.array([[1.0, 1.0, math.pi]]), np.array([[0.0, 0.0]]))
     assert distance[0] == pytest.approx(math.sqrt(2)) and bearing[0] == pytest.approx(math.pi / 4)
+
+
+def test_the_truth_about_people_is_that_of_the_simulator_in_the_robots_frame() -> None:
+    env = DenseCAvoidVectorEnv("random-sparse-ped", 3, seed=4, true_people=4)
+    observation, _ = env.reset(seed=4)
+    for _ in range(3):
+        observation, *_ = env.step(np.tile(np.float32([0.5, 0.2]), (3, 1)))
+    assert env.single_observation_space["people"].shape == (4, 6)  # type: ignore[index]
+    simulator = env.task.simulator
+    for b in range(3):
+        x, y, yaw = simulator.robot_pose[b]
+        people = simulator.people()
+        expected = []
+        for i in np.flatnonzero(people.active[b]):
+            ahead, moved = complex(*people.pos_w[b, i]) - complex(x, y), complex(*people.vel_w[b, i])
+            turned = [vector * np.exp(-1j * yaw) for vector in (ahead, moved)]
+            numbers = [part for vector in turned for part in (vector.real, vector.imag)]
+            expected.append([abs(ahead), *numbers, people.radius_m[b, i], 1.0])
+        nearest = np.array(sorted(expected)[:4])[:, 1:]
+        np.testing.assert_allclose(observation["people"][b], nearest, atol=1e-5)
+
+
+def test_where_nobody_is_the_truth_is_all_zeros() -> None:
+    observation, _ = DenseCAvoidVectorEnv("random-goal", 2, true_people=3).reset(seed=0)
+    assert not observation["people"].any() and observation["people"].shape == (2, 3, 6)
+
+
+def test_worlds_do_not_depend_on_how_they_are_grouped() -> None:
+    whole = DenseCAvoidVectorEnv("random-sparse-ped", 4, seed=9)
+    parts = [DenseCAvoidVectorEnv("random-sparse-ped", 2, seed=9, first_world=first) for first in (0, 2)]
+    together, _ = whole.reset(seed=9)
+    apart = [part.reset(seed=9)[0] for part in parts]
+    for name, array in together.items():
+        assert np.array_equal(array, np.concatenate([each[name] for each in apart])), name

@@ -21,8 +21,12 @@ class PointEnv(VectorEnv):
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
-    def __init__(self, num_envs: int, limit_steps: int = 20, scenario: Any = None) -> None:
+    def __init__(
+        self, num_envs: int, limit_steps: int = 20, scenario: Any = None, first_world: int = 0, people: int = 0
+    ) -> None:
         self.num_envs = num_envs
+        self.first_world = first_world
+        self.people = people
         self.limit_steps = limit_steps
         self.scenario = scenario
         self.single_observation_space = gym.spaces.Dict(
@@ -40,11 +44,13 @@ class PointEnv(VectorEnv):
         self.bearing = np.zeros(num_envs)
         self.age = np.zeros(num_envs, np.int64)
         self.total = np.zeros(num_envs)
-        self.rng = np.random.default_rng(0)
+        self.seed = 0
+        self.episode = np.zeros(num_envs, np.int64)
         self.received: list[np.ndarray] = []
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        self.rng = np.random.default_rng(seed)
+        self.seed = int(seed or 0)
+        self.episode[:] = 0
         self._begin(np.ones(self.num_envs, bool))
         return self.observe(), {}
 
@@ -79,35 +85,37 @@ class PointEnv(VectorEnv):
 
     def observe(self) -> dict[str, np.ndarray]:
         N = self.num_envs
-        return {
+        seen = {
             "lidar": np.ones((N, 3, RAYS), np.float32),
             "camera": np.zeros((N, *IMAGE), np.uint8),
             "goal": np.stack([np.ones(N), self.bearing], axis=1).astype(np.float32),
             "velocity": np.zeros((N, 2), np.float32),
             "prediction": np.full((N, *IMAGE), 255, np.uint8),
         }
+        if self.people > 0:
+            told = np.zeros((N, self.people, 6), np.float32)
+            told[:, 0, 0], told[:, 0, 1], told[:, 0, 5] = np.cos(self.bearing), np.sin(self.bearing), 1.0
+            seen["people"] = told
+        return seen
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        words = self.rng.bit_generator.state["state"]
-        numbers = [(words[name] >> shift) & (2**64 - 1) for name in ("state", "inc") for shift in (0, 64)]
+        names = ("bearing", "age", "total", "episode")
         return {
-            "bearing": self.bearing.copy(),
-            "age": self.age.copy(),
-            "total": self.total.copy(),
-            "rng": np.array(numbers, np.uint64),
+            **{name: getattr(self, name).copy() for name in names},
+            "seed": np.array(self.seed),
             "names": np.array(["random-goal"] * self.num_envs),
         }
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        self.bearing, self.age, self.total = (np.array(state[name]) for name in ("bearing", "age", "total"))
-        low, high, inc_low, inc_high = (int(word) for word in state["rng"])
-        whole = dict(self.rng.bit_generator.state)
-        whole["state"] = {"state": low | high << 64, "inc": inc_low | inc_high << 64}
-        self.rng.bit_generator.state = whole
+        for name in ("bearing", "age", "total", "episode"):
+            setattr(self, name, np.array(state[name]))
+        self.seed = int(state["seed"])
         assert state["names"].tolist() == ["random-goal"] * self.num_envs
 
     def _begin(self, which: np.ndarray) -> None:
-        count = int(which.sum())
-        self.bearing[which] = self.rng.uniform(0.5, 2.5, count) * self.rng.choice([-1, 1], count)
+        for n in np.flatnonzero(which):
+            rng = np.random.default_rng([self.seed, self.first_world + int(n), int(self.episode[n])])
+            self.bearing[n] = rng.uniform(0.5, 2.5) * rng.choice([-1, 1])
+        self.episode[which] += 1
         self.age[which] = 0
         self.total[which] = 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -71,3 +73,26 @@ def test_with_lambda_one_returns_are_the_discounted_sums_of_a_slow_loop() -> Non
                     break
                 k += 1
             assert float(returns[t, n]) == pytest.approx(total, abs=1e-9)
+
+
+def test_advantages_are_those_of_torchrl() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its imports
+        functional = pytest.importorskip("torchrl.objectives.value.functional")
+        generator = torch.Generator().manual_seed(5)
+        T, N, discount, trace_decay = 40, 6, 0.98, 0.9
+        rewards, values, final = (torch.randn(T, N, generator=generator, dtype=torch.float64) for _ in range(3))
+        terminated = torch.rand(T, N, generator=generator) < 0.08
+        truncated = (torch.rand(T, N, generator=generator) < 0.08) & ~terminated
+        ended = terminated | truncated
+        next_values = torch.where(ended, final, torch.cat([values[1:], final[-1:]]))
+        # Its arrays are [batch, time, 1]; its `done` ends an episode, its `terminated` the task.
+        columns = [x.T.unsqueeze(-1) for x in (values, next_values, rewards, ended, terminated)]
+        expected, targets = functional.generalized_advantage_estimate(discount, trace_decay, *columns)
+    advantages, returns = estimate_advantages(
+        rewards, values, next_values, terminated, truncated, discount=discount, trace_decay=trace_decay
+    )
+    assert truncated.any() and terminated.any()
+    # It computes the powers of gamma lambda in single precision.
+    torch.testing.assert_close(advantages, expected.squeeze(-1).T, atol=5e-6, rtol=1e-5)
+    torch.testing.assert_close(returns, targets.squeeze(-1).T, atol=5e-6, rtol=1e-5)

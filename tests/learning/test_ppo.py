@@ -12,7 +12,8 @@ torch = pytest.importorskip("torch")
 from fake_env import PointEnv  # noqa: E402
 
 from densecavoid.learning import ppo  # noqa: E402
-from densecavoid.learning.rollout import Collector, Rollout  # noqa: E402
+from densecavoid.learning.collector import Collector  # noqa: E402
+from densecavoid.learning.rollout import Rollout  # noqa: E402
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors  # noqa: E402
 
 CPU = torch.device("cpu")
@@ -24,7 +25,7 @@ def collect(
     torch.manual_seed(0)
     network = ActorCritic(config)
     env = PointEnv(8, limit_steps)
-    collector = Collector(env, steps, sensors, 1.0, CPU)
+    collector = Collector([env], steps, sensors, 1.0, CPU)
     collector.reset(0)
     return network, collector.collect(network, torch.Generator().manual_seed(0)), env
 
@@ -89,7 +90,7 @@ def test_sensors_that_are_not_there_are_blank_in_the_rollout(tiny_network: Netwo
             }
 
     for sensors, lidar, prediction in (("densecavoid", 0.3, 0), ("depth-lidar", 0.3, 255), ("depth", 1.0, 255)):
-        collector = Collector(Seen(2, 3), 4, sensors, 1.0, CPU)
+        collector = Collector([Seen(2, 3)], 4, sensors, 1.0, CPU)
         collector.reset(0)
         observation = collector.collect(ActorCritic(tiny_network), torch.Generator()).observation
         assert torch.all(observation.lidar == torch.tensor(lidar)), sensors
@@ -97,15 +98,15 @@ def test_sensors_that_are_not_there_are_blank_in_the_rollout(tiny_network: Netwo
 
 
 def test_losses_agree_with_values_computed_by_hand() -> None:
-    # Ratios 1.5 and .5 with advantages 2 and -1, clip .2: min(3, 2.4) = 2.4 and min(-.5, -.8) = -.8; mean .8.
+    # Ratios 1.5 and .5 with advantages 2 and -1, clip .2: min(3, 2.4) = 2.4 and min(-.5, -.8) = -.8.
     loss, ratio = ppo.policy_loss(torch.tensor([1.5, 0.5]).log(), torch.zeros(2), torch.tensor([2.0, -1.0]), clip=0.2)
     assert ratio.tolist() == pytest.approx([1.5, 0.5])
-    assert float(loss) == pytest.approx(-0.8)
+    assert loss.tolist() == pytest.approx([-2.4, 0.8])
     # Errors 3 and 1: (9 + 1) / 2 / 2. Clipped by .5, the first value is .5 and its error 2.5 < 3: unchanged; the second
     # moved from 0 to 2 towards 3, is kept at .5 and its error grows to 2.5: (9 + 6.25) / 4.
     value, old, target = torch.tensor([1.0, 2.0]), torch.tensor([0.0, 0.0]), torch.tensor([-2.0, 3.0])
-    assert float(ppo.value_loss(value, old, target, clip=0.0)) == pytest.approx(2.5)
-    assert float(ppo.value_loss(value, old, target, clip=0.5)) == pytest.approx(15.25 / 4)
+    assert float(ppo.value_loss(value, old, target, clip=0.0).mean()) == pytest.approx(2.5)
+    assert float(ppo.value_loss(value, old, target, clip=0.5).mean()) == pytest.approx(15.25 / 4)
 
 
 def test_a_loss_that_is_not_finite_stops_the_update_before_the_weights_change(tiny_network: NetworkConfig) -> None:
@@ -153,7 +154,7 @@ def test_ppo_solves_a_toy_task(tiny_network: NetworkConfig) -> None:
     config = ppo.PPOConfig(learning_rate=3e-3, minibatch_size=128, target_kl=0.0, schedule="fixed")
     optimiser = ppo.make_optimiser(network, config)
     generator = torch.Generator().manual_seed(1)
-    collector = Collector(PointEnv(32), 32, "densecavoid", 1.0, CPU)
+    collector = Collector([PointEnv(32)], 32, "densecavoid", 1.0, CPU)
     collector.reset(1)
     first = last = success = float("nan")
     for iteration in range(25):

@@ -19,13 +19,14 @@ torch = pytest.importorskip("torch")
 from fake_env import PointEnv  # noqa: E402
 from rich.console import Console  # noqa: E402
 
-from densecavoid.learning import trainer as trainer_module  # noqa: E402
-from densecavoid.learning.checkpoint import load_checkpoint  # noqa: E402
+from densecavoid.learning import run as run_module  # noqa: E402
+from densecavoid.learning.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
 from densecavoid.learning.config import TrainConfig  # noqa: E402
 from densecavoid.learning.curriculum import CurriculumConfig  # noqa: E402
 from densecavoid.learning.ppo import PPOConfig, TrainingDivergedError  # noqa: E402
+from densecavoid.learning.run import train  # noqa: E402
 from densecavoid.learning.run_folder import RunFolder  # noqa: E402
-from densecavoid.learning.trainer import Trainer, train  # noqa: E402
+from densecavoid.learning.trainer import Trainer  # noqa: E402
 from densecavoid.policy.export import load_safetensors  # noqa: E402
 from densecavoid.policy.network import PRESETS, NetworkConfig  # noqa: E402
 from densecavoid.policy.runtime import OnnxPolicy  # noqa: E402
@@ -41,7 +42,7 @@ def _small_and_fast(
     """A tiny network; and the ONNX exporter, which takes seconds, only where it is asked for."""
     monkeypatch.setitem(PRESETS, "compact", tiny_network)
     if "real_export" not in request.fixturenames:
-        monkeypatch.setattr(trainer_module, "export_onnx", lambda path, network, card: None)
+        monkeypatch.setattr(run_module, "export_onnx", lambda path, network, card: None)
 
 
 @pytest.fixture
@@ -49,8 +50,8 @@ def real_export() -> None:
     """Asks for the ONNX exporter."""
 
 
-def make_env(config: TrainConfig, scenario: Scenario) -> PointEnv:
-    return PointEnv(config.num_envs, scenario=scenario)
+def make_envs(config: TrainConfig, scenario: Scenario, first_world: int) -> list[PointEnv]:
+    return [PointEnv(config.num_envs, scenario=scenario)]
 
 
 @pytest.fixture
@@ -68,9 +69,9 @@ def config(tmp_path: Path) -> TrainConfig:
     )
 
 
-def run(config: TrainConfig, resume: bool = False, make: Callable[..., Any] = make_env) -> tuple[Any, str]:
+def run(config: TrainConfig, resume: bool = False, make: Callable[..., Any] = make_envs) -> tuple[Any, str]:
     screen = io.StringIO()
-    result = train(config, resume, make_env=make, console=Console(file=screen))
+    result = train(config, resume, make_envs=make, console=Console(file=screen))
     return result, screen.getvalue()
 
 
@@ -92,10 +93,10 @@ def test_a_run_stopped_and_resumed_gives_the_same_bits_as_one_that_never_stopped
     # The linear schedule depends on total_steps: the run is cut by hand instead of by a smaller budget.
     folder = RunFolder(parts.run_dir)
     folder.create(parts)
-    first = Trainer(parts, make_env)
+    first = Trainer(parts, make_envs)
     for _ in range(2):
         first.iterate()
-    trainer_module.save_checkpoint(folder.last_checkpoint, first.state_dict())
+    save_checkpoint(folder.last_checkpoint, first.state_dict())
     result, _ = run(parts, resume=True)
     assert result.finished
     one, other = (load_checkpoint(RunFolder(each.run_dir).last_checkpoint) for each in (whole, parts))
@@ -108,7 +109,7 @@ def test_the_test_above_can_fail(config: TrainConfig) -> None:
     """Another seed, and a generator that is not restored, are both seen by the comparison."""
     states = []
     for seed in (0, 0, 1):
-        trainer = Trainer(dataclasses.replace(config, seed=seed), make_env)
+        trainer = Trainer(dataclasses.replace(config, seed=seed), make_envs)
         trainer.iterate()
         states.append(trainer.state_dict())
     weights = [state["network"]["actor_output.weight"] for state in states]
@@ -143,12 +144,12 @@ def test_the_folder_explains_itself(config: TrainConfig, real_export: None) -> N
 
 
 def test_the_curriculum_reaches_the_worlds(config: TrainConfig) -> None:
-    trainer = Trainer(config, make_env)
-    before = trainer.env.scenario
+    trainer = Trainer(config, make_envs)
+    before = trainer.envs[0].scenario
     while not trainer.recent or trainer.curriculum.level == 0.0:
         trainer.iterate()
-    assert trainer.env.scenario != before
-    assert trainer.env.scenario == trainer.curriculum.scenario()
+    assert trainer.envs[0].scenario != before
+    assert trainer.envs[0].scenario == trainer.curriculum.scenario()
 
 
 def test_a_signal_saves_and_says_how_to_resume(config: TrainConfig) -> None:
@@ -159,7 +160,7 @@ def test_a_signal_saves_and_says_how_to_resume(config: TrainConfig) -> None:
             return super().step(actions)
 
     handler = signal.getsignal(signal.SIGTERM)
-    result, screen = run(config, make=lambda config, scenario: Interrupted(config.num_envs, scenario=scenario))
+    result, screen = run(config, make=lambda config, scenario, first: [Interrupted(config.num_envs, scenario=scenario)])
     assert signal.getsignal(signal.SIGTERM) is handler
     assert not result.finished and result.steps == 2 * STEPS_AN_ITERATION
     assert f"densecavoid train --resume --run-dir {config.run_dir}" in screen
@@ -179,7 +180,7 @@ def test_a_crash_between_checkpoints_leaves_no_double_lines_in_the_log(config: T
 
     config = dataclasses.replace(config, checkpoint_every=2)
     with pytest.raises(RuntimeError, match="the power went"):
-        run(config, make=lambda config, scenario: Crashing(config.num_envs, scenario=scenario))
+        run(config, make=lambda config, scenario, first: [Crashing(config.num_envs, scenario=scenario)])
     result, _ = run(config, resume=True)
     assert result.finished
     lines = RunFolder(config.run_dir).metrics_file.read_text().splitlines()
@@ -193,7 +194,7 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_checkpoint_kept(config: T
             return observation, reward * (np.nan if len(self.received) > 40 else 1.0), *rest
 
     with pytest.raises(TrainingDivergedError, match="loss is nan"):
-        run(config, make=lambda config, scenario: Poisoned(config.num_envs, scenario=scenario))
+        run(config, make=lambda config, scenario, first: [Poisoned(config.num_envs, scenario=scenario)])
     state = load_checkpoint(RunFolder(config.run_dir).last_checkpoint)
     assert state["counters"]["iteration"] == 2
     assert all(np.isfinite(array).all() for array in state["network"].values())
@@ -214,14 +215,14 @@ def test_a_folder_that_holds_a_run_is_not_overwritten_and_settings_do_not_change
 def test_a_run_can_start_from_the_weights_of_another(config: TrainConfig) -> None:
     run(config)
     weights = config.run_dir / "policy.safetensors"
-    second = Trainer(dataclasses.replace(config, run_dir=config.run_dir / "second", initial_weights=weights), make_env)
+    second = Trainer(dataclasses.replace(config, run_dir=config.run_dir / "second", initial_weights=weights), make_envs)
     first, _ = load_safetensors(weights)
     assert all(torch.equal(tensor, first.state_dict()[name]) for name, tensor in second.network.state_dict().items())
 
 
 def test_the_time_limit_ends_the_run(config: TrainConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(0, 10**6, 30))
-    monkeypatch.setattr(trainer_module.time, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(run_module.time, "monotonic", lambda: float(next(clock)))
     result, _ = run(dataclasses.replace(config, max_minutes=1.0))
     assert not result.finished and 0 < result.steps < config.total_steps
 
@@ -246,7 +247,7 @@ def test_a_resumed_run_gives_the_same_bits_in_the_real_worlds(
     )
     whole = Trainer(config)
     whole.iterate()
-    trainer_module.save_checkpoint(config.run_dir.parent / "half.safetensors", whole.state_dict())
+    save_checkpoint(config.run_dir.parent / "half.safetensors", whole.state_dict())
     whole.iterate()
     resumed = Trainer(dataclasses.replace(config, seed=config.seed))
     resumed.load_state_dict(load_checkpoint(config.run_dir.parent / "half.safetensors"))
@@ -254,13 +255,13 @@ def test_a_resumed_run_gives_the_same_bits_in_the_real_worlds(
     states = []
     for trainer in (whole, resumed):
         path = config.run_dir.parent / "end.safetensors"
-        trainer_module.save_checkpoint(path, trainer.state_dict())
+        save_checkpoint(path, trainer.state_dict())
         states.append(load_checkpoint(path))
     assert_same(*states)
 
 
 def test_a_checkpoint_of_another_network_is_refused(config: TrainConfig) -> None:
-    trainer = Trainer(config, make_env)
+    trainer = Trainer(config, make_envs)
     state = trainer.state_dict()
     state["network_config"] = state["network_config"].replace('"name": "', '"name": "other ')
     with pytest.raises(ValueError, match=r"the checkpoint's network is .*other "):

@@ -73,7 +73,8 @@ def test_operations_are_those_that_torch_counts() -> None:
         network = ActorCritic(config)
         network.set_patch_products(False)
         with FlopCounterMode(display=False) as counter, torch.no_grad():
-            network.mean(random_observation(1))
+            people = torch.zeros(1, config.num_people, 6) if config.people == "actor" else None
+            network.mean(random_observation(1), people)
         assert count_mflop(config) == pytest.approx(counter.get_total_flops() / 1e6, rel=1e-6), config.name
 
 
@@ -178,7 +179,7 @@ def test_settings_that_do_not_fit_are_named() -> None:
     compact = NetworkConfig.preset("compact")
     with pytest.raises(ValueError, match=r"ConvConfig.kernel is \(8,\), expected a divisor of the input size \(500,\)"):
         dataclasses.replace(compact, num_rays=500)
-    with pytest.raises(ValueError, match="unknown network 'tiny', expected one of: paper, compact"):
+    with pytest.raises(ValueError, match="unknown network 'tiny', expected one of: paper, compact, teacher"):
         NetworkConfig.preset("tiny")
     with pytest.raises(ValueError, match=r"ConvConfig.kernel is \(4,\)"):
         ConvConfig(8, (4,), (2,))

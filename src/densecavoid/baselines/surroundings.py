@@ -35,7 +35,7 @@ class PeopleAround:
         camera: CameraConfig = CameraConfig(),
     ) -> None:
         self.source = choose("source of people", source, ("tracks", "truth"))
-        self._config = ObserverConfig(lidar, camera)
+        self._config = ObserverConfig(lidar, camera, people_from="detector")
         self._observer = Observer(self._config, 1)
 
     @property

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from densecavoid.env.observation import ObserverConfig
+from densecavoid.env.privileged import PERSON_NUMBERS, nearest_people
 from densecavoid.env.reward import RewardConfig
 from densecavoid.env.task import NavigationTask, action_space, observation_space
 from densecavoid.frames import Observation
@@ -30,6 +31,8 @@ class DenseCAvoidVectorEnv(VectorEnv):
     `infos` has, besides Gymnasium's `final_obs` and `_final_obs`: `reward_terms`, a dictionary of [B] arrays; and, in
     steps in which episodes end, `episode` with `return`, `length`, `success`, `collision` and `scenario` of all B
     worlds, valid where `_episode` is true.
+
+    With `true_people`, observations have `people` besides, [B, true_people, 6] (`privileged.nearest_people`).
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
@@ -43,13 +46,27 @@ class DenseCAvoidVectorEnv(VectorEnv):
         reward: RewardConfig | None = None,
         seed: int = 0,
         data: Path | None = None,
+        first_world: int = 0,
+        true_people: int = 0,
     ) -> None:
-        """See `NavigationTask`; `scenario` may be a name, `data` the folder of recordings it needs."""
+        """Makes the worlds.
+
+        Args:
+            scenario, num_envs, sim, observer, reward, seed, first_world: as `NavigationTask`; `scenario` may be a name.
+            data: folder of the recordings that a scenario by name needs.
+            true_people: how many of the nearest people each observation tells the truth about, for training alone.
+        """
         scenario = make_scenario(scenario, data) if isinstance(scenario, str) else scenario
-        self.task = NavigationTask(scenario, num_envs, sim, observer, reward, seed)
+        self.task = NavigationTask(scenario, num_envs, sim, observer, reward, seed, first_world)
         config = self.task.simulator.config
         self.num_envs = num_envs
-        self.single_observation_space = observation_space(config)
+        self._true_people = true_people
+        seen = observation_space(config)
+        if true_people > 0:
+            assert isinstance(seen, gym.spaces.Dict)
+            told = gym.spaces.Box(-np.inf, np.inf, (true_people, PERSON_NUMBERS), np.float32)
+            seen = gym.spaces.Dict({**seen.spaces, "people": told})
+        self.single_observation_space = seen
         self.single_action_space = action_space(config)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -73,7 +90,7 @@ class DenseCAvoidVectorEnv(VectorEnv):
             self.task.reseed(int(seed if isinstance(seed, int) else seed[0] or 0))
         self._return[:] = 0.0
         self._length[:] = 0
-        return _as_dict(self.task.reset(np.ones(self.num_envs, np.bool_))), {}
+        return self._observed(self.task.reset(np.ones(self.num_envs, np.bool_))), {}
 
     def step(
         self, actions: np.ndarray
@@ -88,8 +105,11 @@ class DenseCAvoidVectorEnv(VectorEnv):
         if ended.any():
             sim = self.task.simulator
             final = np.full(self.num_envs, None, dtype=object)
+            last = observation._asdict()
+            if self._true_people > 0:
+                last["people"] = nearest_people(sim, self._true_people)
             for b in np.flatnonzero(ended):
-                final[b] = {name: value[b].copy() for name, value in observation._asdict().items()}
+                final[b] = {name: value[b].copy() for name, value in last.items()}
             infos |= {"final_obs": final, "_final_obs": ended, "_episode": ended}
             infos["episode"] = {
                 "return": self._return.copy(),
@@ -101,7 +121,13 @@ class DenseCAvoidVectorEnv(VectorEnv):
             observation = self.task.reset(ended)
             self._return[ended] = 0.0
             self._length[ended] = 0
-        return _as_dict(observation), result.reward, terminated, truncated, infos
+        return self._observed(observation), result.reward, terminated, truncated, infos
+
+    def _observed(self, observation: Observation) -> dict[str, np.ndarray]:
+        arrays = _as_dict(observation)
+        if self._true_people > 0:
+            arrays["people"] = nearest_people(self.task.simulator, self._true_people)
+        return arrays
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Everything that decides how the worlds go on, as arrays; training resumes from it bit for bit."""

@@ -40,6 +40,7 @@ class NavigationTask:
         observer: ObserverConfig | None = None,
         reward: RewardConfig | None = None,
         seed: int = 0,
+        first_world: int = 0,
     ) -> None:
         """Makes the worlds; `reset` draws the first episodes.
 
@@ -50,6 +51,7 @@ class NavigationTask:
             observer: what is seen.
             reward: weights.
             seed: worlds are drawn from (seed, world, episode), so they do not depend on B.
+            first_world: number of the first world, where these are a part of more worlds.
         """
         sim = sim or SimConfig()
         observer = observer or ObserverConfig(sim.lidar, sim.camera, control_dt_s=sim.control_dt_s, threads=sim.threads)
@@ -61,6 +63,7 @@ class NavigationTask:
         self.observer = Observer(observer, num_worlds)
         self.reward = reward or RewardConfig()
         self.seed = seed
+        self.first_world = first_world
         self._episode = np.zeros(num_worlds, np.int64)
         self._distance = np.zeros(num_worlds)
         self._angular = np.zeros(num_worlds)
@@ -79,7 +82,7 @@ class NavigationTask:
         """Draws the next episode of the marked worlds and looks at it."""
         seeds = np.zeros(self.num_worlds, np.int64)
         for b in np.flatnonzero(which):
-            key = np.random.SeedSequence([self.seed, int(b), int(self._episode[b])])
+            key = np.random.SeedSequence([self.seed, self.first_world + int(b), int(self._episode[b])])
             seeds[b] = key.generate_state(1, np.uint64)[0] >> np.uint64(1)
         self._episode[which] += 1
         self.simulator.reset(seeds, which)

@@ -15,7 +15,7 @@ import safetensors
 import safetensors.numpy
 import torch
 
-_FORMAT = "densecavoid-checkpoint-1"
+_FORMAT = "densecavoid-checkpoint-2"
 _SEPARATOR = "/"
 
 

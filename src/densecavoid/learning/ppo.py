@@ -1,11 +1,13 @@
 """Proximal policy optimisation (Schulman et al. 2017): one update from one rollout, read from top to bottom. It neither
-collects nor logs.
+collects nor logs. Several processes that each hold a part of the worlds do together exactly what one would do that
+holds them all.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -13,9 +15,12 @@ from torch import Tensor, nn
 
 from densecavoid.frames import choose, require
 from densecavoid.learning.gae import estimate_advantages
-from densecavoid.learning.rollout import Rollout, explained_variance
+from densecavoid.learning.mirror import mirror_action, mirror_observation, mirror_people
+from densecavoid.learning.peers import Peers
+from densecavoid.learning.rollout import Rollout, take
+from densecavoid.learning.shuffling import minibatches
 from densecavoid.policy.distribution import DiagonalGaussian
-from densecavoid.policy.network import ActorCritic, ObservationTensors
+from densecavoid.policy.network import ActorCritic
 
 LEARNING_RATE_SCHEDULES = ("fixed", "linear", "adaptive")
 
@@ -33,7 +38,7 @@ class PPOConfig:
     epochs: int = 4
     """Passes over each rollout."""
     minibatch_size: int = 512
-    """Samples a gradient step. Many small steps learn several times faster than few large ones."""
+    """Samples a gradient step, over all processes. Many small steps learn several times faster than few large ones."""
     clip: float = 0.2
     """The probability ratio is clipped to 1 +- this."""
     value_clip: float = 0.0
@@ -42,13 +47,17 @@ class PPOConfig:
     """Weight of the critic's loss."""
     entropy_weight: float = 0.001
     """Weight of the entropy bonus."""
+    normalise_advantages: Literal["minibatch", "rollout", "never"] = "minibatch"
+    """Over what advantages are brought to mean 0 and variance 1."""
     target_kl: float = 0.03
     """The update stops when a minibatch's KL divergence from the rollout's policy passes 1.5 times this; 0 = never."""
     max_gradient_norm: float = 0.5
     """Gradients are scaled down to this norm."""
     learning_rate: float = 5e-4
     """Adam's, at the start."""
-    schedule: str = "adaptive"
+    mirror: bool = False
+    """Learn from half of the samples, the other half in the next pass, with left and right exchanged."""
+    schedule: Literal["fixed", "linear", "adaptive"] = "adaptive"
     """`fixed`, `linear` (to zero at the last step) or `adaptive` (keeps each update's KL near half of target_kl)."""
 
     def __post_init__(self) -> None:
@@ -58,6 +67,7 @@ class PPOConfig:
             require(getattr(self, name) > 0, f"PPOConfig.{name}", getattr(self, name), "positive")
         for name in ("value_clip", "value_weight", "entropy_weight", "target_kl"):
             require(getattr(self, name) >= 0, f"PPOConfig.{name}", getattr(self, name), "0 or more")
+        choose("PPOConfig.normalise_advantages", self.normalise_advantages, ("minibatch", "rollout", "never"))
         choose("learning-rate schedule", self.schedule, LEARNING_RATE_SCHEDULES)
         require(
             self.schedule != "adaptive" or self.target_kl > 0,
@@ -101,22 +111,21 @@ def make_optimiser(network: ActorCritic, config: PPOConfig) -> torch.optim.Adam:
 
 def policy_loss(
     log_prob: Float[Tensor, "B"], old_log_prob: Float[Tensor, "B"], advantage: Float[Tensor, "B"], clip: float
-) -> tuple[Float[Tensor, ""], Float[Tensor, "B"]]:
-    """The clipped surrogate (eq. 7), negated to be minimised, and the probability ratios."""
+) -> tuple[Float[Tensor, "B"], Float[Tensor, "B"]]:
+    """The clipped surrogate of each sample (eq. 7), negated to be minimised, and the probability ratios."""
     ratio = (log_prob - old_log_prob).exp()
-    surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
-    return -surrogate.mean(), ratio
+    return -torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage), ratio
 
 
 def value_loss(
     value: Float[Tensor, "B"], old_value: Float[Tensor, "B"], returns: Float[Tensor, "B"], clip: float
-) -> Float[Tensor, ""]:
-    """Half the mean squared error; with `clip` > 0, each sample's worse of it and that of a value kept near the old."""
+) -> Float[Tensor, "B"]:
+    """Half the squared error; with `clip` > 0, each sample's worse of it and that of a value kept near the old one."""
     squared = (value - returns).square()
     if clip > 0:
         kept = old_value + (value - old_value).clamp(-clip, clip)
         squared = torch.maximum(squared, (kept - returns).square())
-    return 0.5 * squared.mean()
+    return 0.5 * squared
 
 
 def update(
@@ -126,6 +135,7 @@ def update(
     config: PPOConfig,
     generator: torch.Generator,
     progress: float = 0.0,
+    peers: Peers = Peers(),  # noqa: B008
 ) -> UpdateStatistics:
     """Improves the network on one rollout.
 
@@ -134,11 +144,13 @@ def update(
         optimiser: over the network's parameters; its learning rate is set by the schedule.
         rollout: collected with this very network.
         config: settings.
-        generator: source of the shuffling, on the network's device.
+        generator: source of the shuffling, on the network's device, in the same state in all processes.
         progress: share of the training that is done, in [0, 1], for the linear schedule.
+        peers: the processes that hold the other worlds' rollouts.
 
     Raises:
         TrainingDivergedError: if a loss or a gradient is not finite; the step that would have used it is not taken.
+        PeerLostError: if another process is gone.
     """
     advantages, returns = estimate_advantages(
         rollout.reward,
@@ -149,58 +161,65 @@ def update(
         discount=config.discount,
         trace_decay=config.trace_decay,
     )
-    observations = ObservationTensors(*(stored.flatten(0, 1) for stored in rollout.observation))
+    observations = rollout.flat_observation()
     actions = rollout.action.flatten(0, 1)
     old_log_probs, old_values = rollout.log_prob.flatten(), rollout.value.flatten()
     flat_advantages, flat_returns = advantages.flatten(), returns.flatten()
+    explained = explained_variance(old_values, flat_returns, peers)
+    if config.normalise_advantages == "rollout":
+        flat_advantages = _normalised(flat_advantages, peers)
+    if network.value_moments is not None:
+        network.follow_returns(*peers.moments(flat_returns[:, None]))
+    unit = 1.0 if network.value_moments is None else network.value_moments.std
     if config.schedule == "linear":
         _set_learning_rate(optimiser, config.learning_rate * max(0.0, 1.0 - progress))
 
-    samples = actions.shape[0]
-    num_minibatches = max(1, round(samples / config.minibatch_size))
-    totals = torch.zeros(5, device=actions.device)
+    parameters = list(network.parameters())
+    totals = torch.zeros(4, device=actions.device)
     gradient_steps, stopped, kl, first_ratio_error = 0, False, 0.0, 0.0
-    for _ in range(config.epochs):
-        order = torch.randperm(samples, generator=generator, device=actions.device)
-        for index in order.tensor_split(num_minibatches):
-            batch = ObservationTensors(*(tensor.index_select(0, index) for tensor in observations))
-            advantage = flat_advantages[index]
-            advantage = (advantage - advantage.mean()) / (advantage.std(correction=0) + 1e-8)
+    for index, size, other_half in minibatches(rollout, config.epochs, config.minibatch_size, generator, peers):
+        advantage = flat_advantages[index]
+        if config.normalise_advantages == "minibatch":
+            advantage = _normalised(advantage, peers)
+        (seen, people), done = take(observations, rollout.people, index), actions[index]
+        as_it_was = torch.ones_like(other_half)
+        if config.mirror:
+            # What was done has the same probability in the mirror, under the policy in the mirror that did it.
+            seen, done, as_it_was = mirror_observation(seen, other_half), mirror_action(done, other_half), ~other_half
+            people = None if people is None else mirror_people(people, other_half)
+        output = network(seen, people)
+        policy = DiagonalGaussian(output.mean, network.log_std)
+        losses_policy, ratio = policy_loss(policy.log_prob(done), old_log_probs[index], advantage, config.clip)
+        losses_value = value_loss(
+            output.value / unit, old_values[index] / unit, flat_returns[index] / unit, config.value_clip
+        )
+        # Means over the minibatch of all processes: their gradients add up to the one of a single process.
+        loss_policy, loss_value = losses_policy.sum() / size, losses_value.sum() / size
+        entropy = policy.entropy()
+        loss = loss_policy + config.value_weight * loss_value - config.entropy_weight * entropy / peers.count
 
-            output = network(batch)
-            policy = DiagonalGaussian(output.mean, network.log_std)
-            loss_policy, ratio = policy_loss(
-                policy.log_prob(actions[index]), old_log_probs[index], advantage, config.clip
+        with torch.no_grad():
+            kept = ratio[as_it_was]
+            away = (kept - 1.0).abs()
+            sums = [(kept - 1.0 - kept.log()).sum(), (away > config.clip).sum(), as_it_was.sum()]
+            figures = peers.sum(torch.stack([loss_policy, loss_value, loss, *(each.float() for each in sums)]))
+            figures[3:5] /= figures[5].clamp(min=1.0)
+            if gradient_steps == 0 and len(away) > 0:
+                first_ratio_error = float(away.max())
+        *parts, total, kl, _, _ = figures.tolist()
+        if not math.isfinite(total):
+            raise TrainingDivergedError(
+                f"the loss is {total} (policy {parts[0]}, value {parts[1]}, KL {kl}) at gradient step {gradient_steps} "
+                "of the update"
             )
-            loss_value = value_loss(output.value, old_values[index], flat_returns[index], config.value_clip)
-            entropy = policy.entropy()
-            loss = loss_policy + config.value_weight * loss_value - config.entropy_weight * entropy
-
-            with torch.no_grad():
-                kl = float((ratio - 1.0 - ratio.log()).mean())
-                clipped = ((ratio - 1.0).abs() > config.clip).float().mean()
-                if gradient_steps == 0:
-                    first_ratio_error = float((ratio - 1.0).abs().max())
-            if not math.isfinite(float(loss.detach())):
-                raise TrainingDivergedError(
-                    f"the loss is {float(loss.detach())} (policy {float(loss_policy.detach())}, value "
-                    f"{float(loss_value.detach())}, KL {kl}) at gradient step {gradient_steps} of the update"
-                )
-            if config.target_kl > 0 and kl > 1.5 * config.target_kl:
-                stopped = True
-                break
-
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            norm = nn.utils.clip_grad_norm_(network.parameters(), config.max_gradient_norm)
-            if not math.isfinite(float(norm)):
-                raise TrainingDivergedError(f"the gradient's norm is {float(norm)} at gradient step {gradient_steps}")
-            optimiser.step()
-            network.raise_std_to_floor()
-            gradient_steps += 1
-            totals += torch.stack([loss_policy.detach(), loss_value.detach(), entropy.detach(), clipped, norm])
-        if stopped:
+        if config.target_kl > 0 and kl > 1.5 * config.target_kl:
+            stopped = True
             break
+
+        norm = step(optimiser, loss, parameters, config.max_gradient_norm, peers)
+        network.raise_std_to_floor()
+        gradient_steps += 1
+        totals += torch.stack([figures[0], figures[1], figures[4], norm])
 
     if config.schedule == "adaptive":
         _set_learning_rate(optimiser, adapted_learning_rate(learning_rate_of(optimiser), kl, config.target_kl))
@@ -209,11 +228,11 @@ def update(
     return UpdateStatistics(
         policy_loss=means[0],
         value_loss=means[1],
-        entropy=means[2],
+        entropy=float(DiagonalGaussian(rollout.action[0], network.log_std.detach()).entropy()),
         kl=kl,
-        clip_fraction=means[3],
-        gradient_norm=means[4],
-        explained_variance=explained_variance(rollout.value, returns),
+        clip_fraction=means[2],
+        gradient_norm=means[3],
+        explained_variance=explained,
         first_ratio_error=first_ratio_error,
         gradient_steps=gradient_steps,
         stopped_early=stopped,
@@ -221,6 +240,51 @@ def update(
         std_linear=std[0],
         std_angular=std[1],
     )
+
+
+def step(
+    optimiser: torch.optim.Adam, loss: Tensor, parameters: list[nn.Parameter], max_norm: float, peers: Peers
+) -> Float[Tensor, ""]:
+    """One step down the gradient of the processes' summed losses; returns the gradient's norm before it was cut.
+
+    Raises:
+        TrainingDivergedError: if the norm is not finite; the step is not taken.
+    """
+    optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    peers.sum_gradients(parameters)
+    norm = nn.utils.clip_grad_norm_(parameters, max_norm)
+    if not math.isfinite(float(norm)):
+        raise TrainingDivergedError(f"the gradient's norm is {float(norm)}; the step was not taken")
+    optimiser.step()
+    return norm.detach()
+
+
+def follow_inputs(network: ActorCritic, rollout: Rollout, peers: Peers = Peers()) -> None:  # noqa: B008
+    """Takes a rollout into the running moments of the inputs, where the network keeps any. After its update: within
+    one, the network must see what it saw when it acted.
+    """
+    if network.range_moments is None or network.state_moments is None:
+        return
+    with torch.no_grad():
+        ranges, state = network.raw_numbers(rollout.flat_observation())
+        network.range_moments.merge(*peers.moments(ranges.flatten(0, 1)))
+        network.state_moments.merge(*peers.moments(state))
+
+
+def explained_variance(
+    value: Float[Tensor, "N"],
+    returns: Float[Tensor, "N"],
+    peers: Peers = Peers(),  # noqa: B008
+) -> float:
+    """1 - Var(returns - value) / Var(returns): 1 is a perfect critic, 0 one that knows only the mean."""
+    _, _, variance = peers.moments(torch.stack([returns, returns - value], dim=1))
+    return float(1.0 - variance[1] / variance[0]) if variance[0] > 0 else float("nan")
+
+
+def _normalised(advantage: Float[Tensor, "N"], peers: Peers) -> Float[Tensor, "N"]:
+    _, mean, variance = peers.moments(advantage[:, None])
+    return (advantage - mean) / (variance.sqrt() + 1e-8)
 
 
 def adapted_learning_rate(rate: float, kl: float, target_kl: float) -> float:

@@ -1,34 +1,55 @@
-"""Experience: T steps of N worlds in preallocated tensors, and the loop that fills them from a Gymnasium vector
-environment with SAME_STEP autoreset. No learning here.
-"""
+"""Experience: T steps of N worlds in preallocated tensors. No learning, and no environments: `collector` fills them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode, VectorEnv
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from densecavoid.frames import Observation, require
-from densecavoid.policy.distribution import DiagonalGaussian
-from densecavoid.policy.network import ActorCritic, ObservationTensors
-from densecavoid.policy.sensors import mask_observation
+from densecavoid.frames import Observation
+from densecavoid.policy.network import ObservationTensors
 
 
 @dataclass
 class Episodes:
-    """The episodes that ended during a rollout."""
+    """The episodes that ended during a rollout, in the order of step and world."""
 
+    step: list[int] = field(default_factory=list)
+    world: list[int] = field(default_factory=list)
+    """Number among the worlds of all processes."""
     scenario: list[str] = field(default_factory=list)
     success: list[bool] = field(default_factory=list)
     collision: list[bool] = field(default_factory=list)
     total_reward: list[float] = field(default_factory=list)
     length: list[int] = field(default_factory=list)
+
+    def record(self, step: int, first_world: int, infos: dict[str, Any]) -> None:
+        """Takes in what a vector environment says about episodes that ended in this step."""
+        if "episode" not in infos:
+            return
+        ended = infos["episode"]
+        for n in np.flatnonzero(infos["_episode"]):
+            self.step.append(step)
+            self.world.append(first_world + int(n))
+            self.scenario.append(str(ended["scenario"][n]))
+            self.success.append(bool(ended["success"][n]))
+            self.collision.append(bool(ended["collision"][n]))
+            self.total_reward.append(float(ended["return"][n]))
+            self.length.append(int(ended["length"][n]))
+
+    @staticmethod
+    def joined(parts: Sequence[Episodes]) -> Episodes:
+        """All of them, in the order of step and world: the same whoever simulated which world."""
+        rows = [row for part in parts for row in zip(*vars(part).values(), strict=True)]
+        rows.sort(key=itemgetter(0, 1))
+        columns = [list(column) for column in zip(*rows, strict=True)]
+        return Episodes(*columns) if columns else Episodes()
 
 
 @dataclass
@@ -45,15 +66,25 @@ class Rollout:
     reward: Float32[Tensor, "T N"]
     terminated: Bool[Tensor, "T N"]
     truncated: Bool[Tensor, "T N"]
+    people: Float32[Tensor, "T N K numbers"] | None = None
+    """The true people, for a privileged critic or a teacher."""
+    teacher_mean: Float32[Tensor, "T N 2"] | None = None
+    """What the teacher would have done, while there is one."""
     episodes: Episodes = field(default_factory=Episodes)
+    """Of all processes."""
     reward_terms: dict[str, float] = field(default_factory=dict)
     """Mean of each unscaled term a step."""
 
     @staticmethod
-    def allocate(steps: int, observation: Observation, device: torch.device) -> Rollout:
-        """Storage for `steps` steps of observations like the given one."""
+    def allocate(
+        steps: int,
+        observation: Observation,
+        people: np.ndarray | None,
+        device: torch.device,
+        lidar_dtype: torch.dtype,
+    ) -> Rollout:
+        """Storage for `steps` steps of observations (all worlds of this process) like the given one."""
         N = observation.lidar.shape[0]
-        stored = (torch.from_numpy(np.asarray(array)) for array in observation)
 
         def numbers(*shape: int) -> Tensor:
             return torch.zeros(steps, N, *shape, device=device)
@@ -61,10 +92,12 @@ class Rollout:
         def flags() -> Tensor:
             return torch.zeros(steps, N, dtype=torch.bool, device=device)
 
+        def like(name: str, array: np.ndarray) -> Tensor:
+            dtype = lidar_dtype if name == "lidar" else torch.from_numpy(np.asarray(array)).dtype
+            return torch.zeros((steps, *array.shape), dtype=dtype, device=device)
+
         return Rollout(
-            observation=ObservationTensors(
-                *(torch.zeros((steps, *x.shape), dtype=x.dtype, device=device) for x in stored)
-            ),
+            observation=ObservationTensors(*(like(name, array) for name, array in observation._asdict().items())),
             action=numbers(2),
             log_prob=numbers(),
             value=numbers(),
@@ -72,117 +105,27 @@ class Rollout:
             reward=numbers(),
             terminated=flags(),
             truncated=flags(),
+            people=None if people is None else numbers(*people.shape[1:]),
         )
 
     @property
     def num_steps(self) -> int:
-        """Environment steps held, over all worlds."""
+        """Environment steps held, over all worlds of this process."""
         return self.reward.numel()
 
+    @property
+    def num_worlds(self) -> int:
+        """N"""
+        return self.reward.shape[1]
 
-class Collector:
-    """Steps the worlds with the current policy. Owns the latest observation, so rollouts leave no gap."""
-
-    def __init__(self, env: VectorEnv, num_steps: int, sensors: str, reward_scale: float, device: torch.device) -> None:
-        mode = env.metadata.get("autoreset_mode")
-        require(mode == AutoresetMode.SAME_STEP, "the environment's autoreset_mode", mode, "AutoresetMode.SAME_STEP")
-        self.env = env
-        self.sensors = sensors
-        self.reward_scale = reward_scale
-        self.device = device
-        self.num_steps = num_steps
-        self.observation: Observation | None = None
-        self._storage: Rollout | None = None
-
-    def reset(self, seed: int) -> None:
-        """Start all worlds afresh."""
-        observation, _ = self.env.reset(seed=seed)
-        self.observation = self._masked(observation, copy=True)
-
-    def collect(
-        self,
-        network: ActorCritic,
-        generator: torch.Generator,
-        on_step: Callable[[], None] = lambda: None,
-    ) -> Rollout:
-        """One rollout. The tensors returned are reused by the next call.
-
-        Args:
-            network: acts and values; not changed.
-            generator: source of the actions' noise, on the collector's device.
-            on_step: called after each step of all worlds, for progress.
-        """
-        if self.observation is None:
-            raise RuntimeError("Collector.reset must be called before Collector.collect")
-        if self._storage is None:
-            self._storage = Rollout.allocate(self.num_steps, self.observation, self.device)
-        rollout = self._storage
-        rollout.episodes = Episodes()
-        terms: dict[str, float] = {}
-        final_places: list[tuple[int, int]] = []
-        final_observations: list[Observation] = []
-        with torch.no_grad():
-            for t in range(self.num_steps):
-                for stored, array in zip(rollout.observation, self.observation, strict=True):
-                    stored[t].copy_(torch.from_numpy(array))
-                output = network(ObservationTensors(*(stored[t] for stored in rollout.observation)))
-                policy = DiagonalGaussian(output.mean, network.log_std)
-                action = policy.sample(generator)
-                rollout.action[t] = action
-                rollout.log_prob[t] = policy.log_prob(action)
-                rollout.value[t] = output.value
-
-                observation, reward, terminated, truncated, infos = self.env.step(action.cpu().numpy())
-                rollout.reward[t] = torch.from_numpy(np.asarray(reward, dtype=np.float32)) * self.reward_scale
-                rollout.terminated[t] = torch.from_numpy(np.asarray(terminated))
-                rollout.truncated[t] = torch.from_numpy(np.asarray(truncated))
-                for name, values in infos.get("reward_terms", {}).items():
-                    terms[name] = terms.get(name, 0.0) + float(np.mean(values))
-                for n in np.flatnonzero(truncated & ~terminated):
-                    final_places.append((t, int(n)))
-                    final_observations.append(self._masked(_add_axis(infos["final_obs"][n]), copy=True))
-                _record_episodes(rollout.episodes, infos)
-                self.observation = self._masked(observation, copy=False)
-                on_step()
-
-            # The environment reuses its buffers: what must outlast the next step, across rollouts too, is copied.
-            self.observation = Observation(*(array.copy() for array in self.observation))
-            rollout.next_value[:-1] = rollout.value[1:]
-            rollout.next_value[-1] = network.value(self._to_device(self.observation))
-            if final_places:
-                joined = Observation(*(np.concatenate(arrays) for arrays in zip(*final_observations, strict=True)))
-                times, worlds = (
-                    torch.tensor(indices, device=self.device) for indices in zip(*final_places, strict=True)
-                )
-                rollout.next_value[times, worlds] = network.value(self._to_device(joined))
-        rollout.reward_terms = {name: total / self.num_steps for name, total in terms.items()}
-        return rollout
-
-    def _to_device(self, observation: Observation) -> ObservationTensors:
-        return ObservationTensors(*(torch.from_numpy(array).to(self.device) for array in observation))
-
-    def _masked(self, observation: dict[str, Any], copy: bool) -> Observation:
-        arrays = (observation[name] for name in Observation._fields)
-        return mask_observation(Observation(*(np.array(a) if copy else np.asarray(a) for a in arrays)), self.sensors)
+    def flat_observation(self) -> ObservationTensors:
+        """Views with time and world as one axis."""
+        return ObservationTensors(*(stored.flatten(0, 1) for stored in self.observation))
 
 
-def explained_variance(value: Float[Tensor, "T N"], returns: Float[Tensor, "T N"]) -> float:
-    """1 - Var(returns - value) / Var(returns): 1 is a perfect critic, 0 one that knows only the mean."""
-    variance = returns.var()
-    return float(1.0 - (returns - value).var() / variance) if variance > 0 else float("nan")
-
-
-def _add_axis(observation: dict[str, Any]) -> dict[str, Any]:
-    return {name: np.asarray(array)[None] for name, array in observation.items()}
-
-
-def _record_episodes(episodes: Episodes, infos: dict[str, Any]) -> None:
-    if "episode" not in infos:
-        return
-    ended = infos["episode"]
-    for n in np.flatnonzero(infos["_episode"]):
-        episodes.scenario.append(str(ended["scenario"][n]))
-        episodes.success.append(bool(ended["success"][n]))
-        episodes.collision.append(bool(ended["collision"][n]))
-        episodes.total_reward.append(float(ended["return"][n]))
-        episodes.length.append(int(ended["length"][n]))
+def take(
+    observation: ObservationTensors, people: Tensor | None, index: Tensor
+) -> tuple[ObservationTensors, Tensor | None]:
+    """Those samples of flat observations and people."""
+    batch = ObservationTensors(*(tensor.index_select(0, index) for tensor in observation))
+    return batch, None if people is None else people.flatten(0, 1).index_select(0, index)

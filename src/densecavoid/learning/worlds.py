@@ -8,6 +8,7 @@ from typing import Any
 from densecavoid.env.environments import DenseCAvoidVectorEnv
 from densecavoid.env.observation import ObserverConfig
 from densecavoid.learning.config import TrainConfig
+from densecavoid.learning.variety import vary_body
 from densecavoid.sim.spec import Scenario
 
 
@@ -30,13 +31,28 @@ def observer_json(config: TrainConfig) -> dict[str, Any]:
     return values
 
 
-def make_training_env(config: TrainConfig, scenario: Scenario) -> DenseCAvoidVectorEnv:
-    """`config.num_envs` worlds drawn from `scenario`."""
-    return DenseCAvoidVectorEnv(
-        scenario,
-        config.num_envs,
-        sim=config.sim,
-        observer=observer_config(config),
-        reward=config.reward,
-        seed=config.seed,
-    )
+def make_training_envs(config: TrainConfig, scenario: Scenario, first_world: int = 0) -> list[DenseCAvoidVectorEnv]:
+    """`config.num_envs` worlds drawn from `scenario`, in groups.
+
+    Args:
+        config: settings.
+        scenario: where worlds are drawn from.
+        first_world: number of the first of them among the worlds of all processes.
+    """
+    size = config.num_envs // config.num_groups
+    network = config.network_config
+    envs = []
+    for first in range(first_world, first_world + config.num_envs, size):
+        sim = vary_body(config.sim, config.seed, first // size) if config.variety.bodies > 0 else config.sim
+        env = DenseCAvoidVectorEnv(
+            scenario,
+            size,
+            sim=sim,
+            observer=dataclasses.replace(observer_config(config), lidar=sim.lidar, camera=sim.camera),
+            reward=config.reward,
+            seed=config.seed,
+            first_world=first,
+            true_people=network.num_people if network.privileged or config.imitation.teacher is not None else 0,
+        )
+        envs.append(env)
+    return envs

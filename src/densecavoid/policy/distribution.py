@@ -21,9 +21,8 @@ class DiagonalGaussian(NamedTuple):
     log_std: Float[Tensor, "2"]
     """Natural logarithm of the standard deviations, the same in every state."""
 
-    def sample(self, generator: torch.Generator | None = None) -> Float[Tensor, "B 2"]:
-        """One draw for each row."""
-        noise = torch.randn(self.mean.shape, generator=generator, device=self.mean.device, dtype=self.mean.dtype)
+    def at(self, noise: Float[Tensor, "B 2"]) -> Float[Tensor, "B 2"]:
+        """The draw that standard normal `noise` stands for."""
         return self.mean + noise * self.log_std.exp()
 
     def log_prob(self, action: Float[Tensor, "B 2"]) -> Float[Tensor, "B"]:
