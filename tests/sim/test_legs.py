@@ -15,7 +15,8 @@ WIDTH_M, SEPARATION_M = 0.137, 0.288
 """Medians of real people's clusters (FACTS, Crowds)."""
 INCREMENT_RAD = 0.00613592
 URG = LidarConfig(768, 767 * INCREMENT_RAD, 11.0, 0.03)
-"""The recordings' scanner."""
+YAW_RAD = -2.35619 + 767 * INCREMENT_RAD / 2
+"""The recordings' scanner, and where its middle ray looks."""
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def test_simulated_legs_have_the_known_width_and_separation():
     rows = np.stack(
         [distance * np.cos(bearing), distance * np.sin(bearing), speed * np.cos(angle), speed * np.sin(angle)], axis=1
     )
-    found = legs.simulate(URG, rows)
+    found = legs.simulate(URG, rows, YAW_RAD)
     assert np.median(found.width_m) == pytest.approx(WIDTH_M, rel=0.15)
     assert np.median(found.separation_m) == pytest.approx(SEPARATION_M, rel=0.15)
 
@@ -87,8 +88,8 @@ def test_simulated_legs_have_the_known_width_and_separation():
 def test_a_walker_shows_two_legs_that_pass_each_other():
     """Seen from the side: twice a stride the legs hide each other, between which they are a shin's step apart."""
     rows = np.tile([2.0, 0.0, 0.0, 1.3], (200, 1))
-    found = legs.simulate(URG, rows)
+    found = legs.simulate(URG, rows, YAW_RAD)
     assert set(found.shown) == {1, 2}
     assert np.percentile(found.separation_m, 95) == pytest.approx(0.58 * 0.73, rel=0.1)
-    standing = legs.simulate(URG, rows * [1, 1, 0, 0] + [0, 0, 0.0, 0.0])
+    standing = legs.simulate(URG, rows * [1, 1, 0, 0], YAW_RAD)
     assert (standing.shown >= 1).all() and math.isclose(standing.single, 1.0, abs_tol=0.05)
