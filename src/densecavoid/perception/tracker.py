@@ -40,33 +40,33 @@ class TrackerSettings(NamedTuple):
     (`benchmarks/tracking.py --tune`). Evidence is in log-odds that a track is a person's who is still there."""
 
     acceleration_std: float = ACCELERATION_STD
-    new_speed_std: float = 1.0
+    new_speed_std: float = 0.7
     """m/s, of x and of y, of somebody just found."""
     gate: float = 13.8
     """Squared Mahalanobis distance beyond which a detection is not a track's (chi2, 2 d.f.: once in a thousand)."""
-    newcomers_per_m2: float = 0.01
+    newcomers_per_m2: float = 0.014
     """Detections that belong to no track, in a frame."""
-    most_evidence: float = 4.0
+    most_evidence: float = 4.5
     """No more is counted."""
-    least_evidence: float = -1.0
+    least_evidence: float = -1.8
     """Below that a track is given up."""
     confirmed: float = 2.0
     """From which a track is surely a person's."""
     gain_bias: float = 0.7
     """That a detection adds to the log-odds of its confidence."""
     least_gain: float = -1.0
-    most_gain: float = 2.0
+    most_gain: float = 1.4
     """That one detection adds: one detector errs alike many times in a row."""
-    forgotten_per_s: float = 0.4
+    forgotten_per_s: float = 0.9
     """That a track loses for as long as nobody sees it."""
     most_missed: float = 0.7
     """Of people whom a sensor ought to see, the share of which a single miss convinces."""
     max_unseen_s: float = MAX_UNSEEN_S
-    moved_m: float = 0.5
+    moved_m: float = 0.21
     """How far a track of legs alone must come to be a person's: furniture stands."""
-    moving: float = 0.25
+    moving: float = 0.18
     """m/s, how fast it must be."""
-    steady: float = 0.5
+    steady: float = 0.8
     """Share of its way that must lead on: what flickers between things goes to and fro."""
 
 

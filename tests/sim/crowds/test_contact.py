@@ -140,7 +140,7 @@ def crossings(plan: FloorPlan, before, after) -> np.ndarray:
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("density", [0.8, 2.5])
 @given(st.integers(0, 10_000))
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=6, deadline=None)
 def test_nobody_passes_a_wall_or_stays_in_anything_or_anybody(motion, density, seed):
     config = SimConfig(control_dt_s=0.05, threads=1, motion=motion)
     sim = Simulator(Given(lambda rng: hall(rng, density)), 1, config)
@@ -162,4 +162,4 @@ def test_nobody_passes_a_wall_or_stays_in_anything_or_anybody(motion, density, s
             gap = gap_of(pos[i] - pos[j], heading[i], radius[i], heading[j], radius[j])[0]
             deep[i, j] = gap < -0.02 and (walks[i] or walks[j])
         overlapping_s = np.where(deep, overlapping_s + 0.05, 0.0)
-        assert overlapping_s.max() <= 0.5  # seeds are fixed: 2 of 250 dense halls hold somebody wedged for longer
+        assert overlapping_s.max() <= 0.5

@@ -13,7 +13,6 @@ from densecavoid.frames import choose
 from densecavoid.perception.predictor.contract import (
     FIELD_PERIOD_S,
     FIELD_PREDICTED,
-    FIELD_SEEN,
     ROBOT_HORIZONS_S,
     ROBOT_PERIOD_S,
     ROBOT_SAMPLES,
@@ -114,6 +113,3 @@ def batches(windows: Windows, size: int, rng: np.random.Generator) -> Iterator[W
             rows, count = [], 0
     if rows:
         yield windows.subset(np.concatenate(rows))
-
-
-FIELD_SAMPLES = FIELD_SEEN

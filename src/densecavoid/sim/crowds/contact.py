@@ -105,12 +105,12 @@ def _body_gap(off_x, off_y, line_i, line_j, radius_i, radius_j):
 
 
 @inner
-def part_bodies(scene, scratch):
+def part_bodies(scene, scratch, crush):
     """Moves overlapping people apart. Whether any overlapped.
 
     Half each, but who stands does not give way, nor does who is held by things (`keep_out_of_things`) to one who is
     free: two bodies would part by halves of halves, the held one pushed into the wall and back again. Where neither
-    gives way, shoulders turn.
+    gives way, or in a `crush` (others push them together again), shoulders turn.
     """
     pos, radius, before, held = scene.pos, scene.radius, scratch.before, scratch.held
     for sweep in range(_SWEEPS):
@@ -137,9 +137,8 @@ def part_bodies(scene, scratch):
                     share = 0.0 if i_stands else 1.0
                 elif held[i] != held[j]:
                     share = 0.0 if held[i] else 1.0
-                if held[i] and (held[j] or j_stands):
+                if crush or ((held[i] or i_stands) and (held[j] or j_stands)):
                     _turn_aside(scene, i, scratch, x, y)
-                if held[j] and (held[i] or i_stands):
                     _turn_aside(scene, j, scratch, x, y)
                 if share > 0.0:
                     _push_from(before[i], pos[i], scene.vel[i], x, y, -share * gap)

@@ -29,8 +29,8 @@ def move_people(scene, phase, scratch, dt):
             scene.heading[i], phase[i] = walk(vel[i, 0], vel[i, 1], scene.heading[i], phase[i], scratch.turn[i], dt)
             scratch.shoulder[i, 0], scratch.shoulder[i, 1] = shoulder_line(scene.heading[i], scene.radius[i])
     scratch.held[:] = False
-    for _ in range(_ROUNDS):
-        touched = part_bodies(scene, scratch)
+    for k in range(_ROUNDS):
+        touched = part_bodies(scene, scratch, 2 * k >= _ROUNDS)
         for i in range(len(pos)):
             if walks(scene.behaviour[i]):
                 robot_reach = scene.robot[4] + ROBOT_GAP_M if scene.attitude[i] >= YIELD else 0.0
