@@ -92,19 +92,21 @@ def test_driving_about_gives_the_same_episodes_again():
 
 @pytest.mark.slow
 def test_two_forms_follow_the_same_people_as_well_and_draw_the_same_frames():
-    """Measured with the shipped detector on 1,920 images: recall .970 (detector) and .978 (boxes), median error .020
-    and .025 m, 9 in 10 within .068 and .055 m, .081 and .065 false tracks an image, quartiles of the frame's IoU with
-    the truth's .66 .81 .89 and .65 .80 .89."""
+    """Bounds from five seeds of 1,440 to 1,920 images with the shipped detector. Differences, on average and at most:
+    recall .005 and .012, median error .005 and .008 m, nine tenths' error .005 and .013 m, mean IoU .013 and .023, its
+    lower quartile .022 and .037. What differs most are tracks of nobody: .03 an image fewer with boxes, .06 at most,
+    because the model has people misplaced by half a metre or more as false alarms elsewhere.
+    """
     scores = compare_forms(FormsComparison(worlds=8, steps=60, seed=5))
     detector, boxes = scores["detector"].summary(), scores["boxes"].summary()
     bounds = {
-        "track_recall": 0.04,
+        "track_recall": 0.03,
         "error_median_m": 0.015,
         "error_90_m": 0.03,
-        "false_tracks_per_image": 0.05,
+        "false_tracks_per_image": 0.08,
         "frame_iou_mean": 0.05,
-        "frame_iou_25": 0.1,
-        "frame_iou_50": 0.05,
+        "frame_iou_25": 0.08,
+        "frame_iou_50": 0.04,
         "frame_iou_75": 0.04,
     }
     for name, bound in bounds.items():
