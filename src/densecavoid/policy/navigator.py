@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import Command, SensorFrame
+from densecavoid.frames import Command, Observation, SensorFrame
+from densecavoid.policy.card import PolicyCard
 from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.runtime import OnnxPolicy
 from densecavoid.policy.sensors import mask_observation
 
 
+@runtime_checkable
+class Policy(Protocol):
+    """What acts: an `OnnxPolicy`, or another trainer's network beside a card."""
+
+    card: PolicyCard
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """Mean command (v m/s, w rad/s) for each row, [B, 2]."""
+        ...
+
+
 class PolicyNavigator:
     """Satisfies `frames.Navigator`. Owns the observer's memory of each world (earlier scans, tracks)."""
 
-    def __init__(self, policy: OnnxPolicy, *, sample: bool = False, seed: int = 0, num_worlds: int = 1) -> None:
+    def __init__(self, policy: Policy, *, sample: bool = False, seed: int = 0, num_worlds: int = 1) -> None:
         """
         Args:
             policy: what acts; its file says how observations are made.
