@@ -7,6 +7,8 @@ NAVIGATOR ?= densecavoid
 SEED ?= 7
 OUT ?= runs/demo
 PYTEST_ARGS ?=
+EPISODES ?= 500
+RESULTS ?= runs/results
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,12 +16,20 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 BASE_STAMP := $(VENV)/.installed-base
 TEST_STAMP := $(VENV)/.installed-test
 DEV_STAMP := $(VENV)/.installed-dev
+ROS_STAMP := $(VENV)/.installed-ros
+ROS2 := $(VENV)/ros2
+
+# Debian's ROS 1, and the ROS 2 that exists as wheels. Real robots have their distribution's own.
+ROS1_PACKAGES := python3-rospy python3-roslaunch python3-sensor-msgs python3-nav-msgs python3-geometry-msgs \
+	python3-tf2-msgs python3-diagnostic-msgs python3-visualization-msgs
+ROS2_PACKAGES := ros-kilted-rclpy==9.1.2 "ros-rclpy[fastrtps]==9.1.2" ros-kilted-sensor-msgs ros-kilted-nav-msgs \
+	ros-kilted-visualization-msgs ros-kilted-diagnostic-msgs
 
 # Threads that wait for work sleep, so that OpenMP, numba and torch do not fight for the cores of a laptop.
 export OMP_WAIT_POLICY := passive
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick lint benchmark clean distclean
+.PHONY: help setup demo test quick test-ros lint benchmark table clean distclean
 
 help: ## list the commands
 	@awk -F ': .*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -35,6 +45,9 @@ test: $(TEST_STAMP) ## set up with torch, then all tests: PYTEST_ARGS
 quick: $(TEST_STAMP) ## the tests without the slow ones
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
 
+test-ros: $(ROS_STAMP) ## install ROS 1 (apt, as root) and ROS 2 (wheels), then drive both nodes over them
+	DENSECAVOID_ROS1=$(abspath $(BIN)/python) DENSECAVOID_ROS2=$(abspath $(ROS2)/bin/python) $(BIN)/python -m pytest tests/ros $(PYTEST_ARGS)
+
 lint: $(DEV_STAMP) ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -42,6 +55,10 @@ lint: $(DEV_STAMP) ## ruff and pyright
 
 benchmark: $(BASE_STAMP) ## speed of the simulator, printed
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+
+table: $(BASE_STAMP) ## the README's results: every navigator in every test, into RESULTS (EPISODES a cell); goes on where it stopped
+	$(BIN)/densecavoid benchmark --episodes $(EPISODES) --out $(RESULTS) \
+		--navigators densecavoid frozone dwa social-force orca orca-privileged go-to-goal oracle
 
 clean: ## remove caches and build outputs (runs/ and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis
@@ -62,6 +79,15 @@ $(BASE_STAMP): pyproject.toml | $(BIN)/python
 $(TEST_STAMP): $(BASE_STAMP)
 	$(PIP) install torch==2.13.0
 	$(PIP) install --editable ".[train,test]"
+	@touch $@
+
+# ROS 2 gets an environment of its own, on top of ours: its wheels start Python anew when they are imported.
+$(ROS_STAMP): $(TEST_STAMP)
+	test -x /usr/bin/roscore || { apt-get update -qq && apt-get install -y -qq --no-install-recommends $(ROS1_PACKAGES); }
+	$(BIN)/python -m venv $(ROS2)
+	$(BIN)/python -c 'import sysconfig; print("import site; site.addsitedir(%r)" % sysconfig.get_path("purelib"))' \
+		> $$($(ROS2)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/base.pth
+	$(ROS2)/bin/python -m pip --disable-pip-version-check install $(ROS2_PACKAGES)
 	@touch $@
 
 $(DEV_STAMP): $(TEST_STAMP)

@@ -348,6 +348,7 @@ def main() -> None:
     if args.png and shown is not None:
         draw(args.png, tables, shown, args.motion)
     if args.json:
+        args.json.parent.mkdir(parents=True, exist_ok=True)
         args.json.write_text(json.dumps(result, indent=1, default=float) + "\n", encoding="utf-8")
 
 

@@ -19,6 +19,8 @@ from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from densecavoid.frames import CameraConfig, LidarConfig
+from densecavoid.perception.evaluation.legs import people_of
+from densecavoid.perception.leg_recordings import LegRecording, labelled_legs
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import STANDING, TRAVERSING, sample_bodies
 from densecavoid.sim.spec import Crowd, WorldSpec
@@ -32,21 +34,6 @@ PERSON_M = 0.45
 NEAREST_M = 0.9
 """Nearer people are left out: the scanner sees parts of its own vehicle there."""
 PERCENTILES = (5, 25, 50, 75, 95)
-
-
-@dataclass(frozen=True)
-class Scanner:
-    """Geometry of a planar scanner, as ROS describes it."""
-
-    angle_min_rad: float
-    increment_rad: float
-    num_rays: int
-    range_min_m: float
-    range_max_m: float
-
-    @property
-    def angles_rad(self) -> Float[np.ndarray, "rays"]:
-        return self.angle_min_rad + self.increment_rad * np.arange(self.num_rays)
 
 
 @dataclass(frozen=True)
@@ -100,50 +87,11 @@ def measure(
 # -- real scans --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Recording:
-    """Scans with labelled clusters."""
-
-    scanner: Scanner
-    time_s: Float[np.ndarray, "scans"]
-    scans_m: Float[np.ndarray, "scans rays"]
-    labels: list[Float[np.ndarray, "n 2"]]
-
-
-def load(path: Path) -> Recording:
-    """One `*_extracted.npz`."""
-    with np.load(path) as file:
-        scans = file["training_scan_ranges"].astype(np.float64)
-        angle_min, increment, range_min, range_max = file["training_scan_meta"].tolist()
-        labels = np.split(file["label_xy"].astype(np.float64), np.cumsum(file["label_n"])[:-1])
-        scanner = Scanner(angle_min, increment, scans.shape[1], range_min, range_max)
-        return Recording(scanner, file["training_scan_t"], scans, labels)
-
-
-def recordings(data: Path) -> list[Recording]:
-    """All of them.
-
-    Raises:
-        ValueError: where there are none.
-    """
-    paths = sorted((data / "leg_tracker").glob("*_extracted.npz"))
-    if not paths:
-        raise ValueError(f"no leg_tracker/*_extracted.npz in {data}")
-    return [load(path) for path in paths]
-
-
-def _people(labels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "people 2"]:
-    """Places of people: the middles of chains of labels less than .8 m apart."""
-    apart = np.hypot(*(labels[:, None] - labels[None]).transpose(2, 0, 1))
-    count, label = connected_components(apart < 0.8)
-    return np.array([labels[label == k].mean(axis=0) for k in range(count)]).reshape(-1, 2)
-
-
 def walkers(
-    recording: Recording, half_window_s: float = 0.45
+    recording: LegRecording, half_window_s: float = 0.45
 ) -> tuple[Int[np.ndarray, "people"], Float[np.ndarray, "people 4"]]:
     """Everybody labelled who is seen long enough: in which scan, and x, y, vx, vy by least squares."""
-    places = [_people(labels) for labels in recording.labels]
+    places = [people_of(labels) for labels in recording.labels]
     scans, rows = [], []
     for k, here in enumerate(places):
         near = np.flatnonzero(np.abs(recording.time_s - recording.time_s[k]) < half_window_s)
@@ -194,25 +142,23 @@ class Walkers:
         return WorldSpec(self.name, FloorPlan(), (0.0, 0.0, self._yaw), (0.0, 3.0), crowd)
 
 
-def simulate(scanner: Scanner, rows: Float[np.ndarray, "people 4"], seed: int = 0) -> Legs:
-    """Legs of simulated people with those places and velocities, as a `real` scanner of that geometry sees them."""
-    fov = scanner.increment_rad * (scanner.num_rays - 1)
-    lidar = LidarConfig(scanner.num_rays, fov, scanner.range_max_m, scanner.range_min_m)
+def simulate(lidar: LidarConfig, rows: Float[np.ndarray, "people 4"], yaw_rad: float = 0.0, seed: int = 0) -> Legs:
+    """Legs of simulated people with those places and velocities, as a `real` scanner sees them whose middle ray looks
+    along `yaw_rad`."""
     config = SimConfig(lidar=lidar, camera=CameraConfig(width=4, height=4), sensors="real", threads=1)
-    yaw = scanner.angle_min_rad + fov / 2
-    simulator = Simulator(Walkers(rows, yaw), len(rows), config)
+    simulator = Simulator(Walkers(rows, yaw_rad), len(rows), config)
     simulator.reset(seed * len(rows) + np.arange(len(rows)))
     scans = simulator.sense().scan_m
-    return measure(scans, scanner.angles_rad, rows[:, :2])
+    return measure(scans, yaw_rad + lidar.angles_rad, rows[:, :2])
 
 
 def compare(data: Path, repeats: int = 5) -> tuple[Legs, Legs]:
     """Legs of the real scans, and of people simulated at the same places with the same velocities, `repeats` each."""
     real, simulated = [], []
-    for recording in recordings(data):
+    for recording in labelled_legs(data):
         scans, rows = walkers(recording)
-        real.append(measure(recording.scans_m[scans], recording.scanner.angles_rad, rows[:, :2]))
-        simulated.append(simulate(recording.scanner, np.tile(rows, (repeats, 1))))
+        real.append(measure(recording.scans_m[scans], recording.angles_rad, rows[:, :2]))
+        simulated.append(simulate(recording.lidar, np.tile(rows, (repeats, 1)), recording.yaw_rad))
     return _pooled(real), _pooled(simulated)
 
 

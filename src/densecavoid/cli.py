@@ -21,14 +21,35 @@ def _run(args: Sequence[str]) -> None:
     print(f"{config.navigator} in {config.scenario} (seed {config.seed}): {one_line(metrics)} -> {config.film_path}")
 
 
+@dataclass(frozen=True)
+class CompareConfig:
+    """Settings of `densecavoid benchmark --compare`."""
+
+    before: tyro.conf.Positional[Path]
+    """A results.json, with episodes.jsonl beside it."""
+    after: tyro.conf.Positional[Path]
+    """Another one."""
+
+
 def _benchmark(args: Sequence[str]) -> None:
-    """navigators x scenarios x episodes: results.json, tables.md, success.png"""
+    """navigators x scenarios x episodes: results.json, tables.md, index.html; --compare A B says what changed"""
+    if "--compare" in args:
+        from densecavoid.benchmark.compare import compare, comparison, other_conditions
+
+        rest = [arg for arg in args if arg != "--compare"]
+        pair = tyro.cli(CompareConfig, prog="densecavoid benchmark --compare", args=rest)
+        print(comparison(compare(pair.before, pair.after), other_conditions(pair.before, pair.after)), end="")
+        return
     from densecavoid.benchmark.report import write_report
     from densecavoid.benchmark.runner import BenchmarkConfig, run_benchmark
+    from densecavoid.benchmark.scenes import write_scenes
 
     config = tyro.cli(BenchmarkConfig, prog="densecavoid benchmark", args=args)
-    write_report(run_benchmark(config), config.out)
-    print(f"{config.out / 'tables.md'}\n{config.out / 'success.png'}\n{config.out / 'results.json'}")
+    results = run_benchmark(config)
+    write_scenes(config)
+    write_report(results, config.out)
+    for name in ("index.html", "tables.md", "success.png", "results.json"):
+        print(config.out / name)
 
 
 @dataclass(frozen=True)
@@ -68,6 +89,43 @@ def _train(args: Sequence[str]) -> None:
         print(f"{result.steps:,} steps, stage {result.stage} at level {result.level:.1f} -> {result.policy}")
 
 
+def _train_detector(args: Sequence[str]) -> None:
+    """train the depth detector on simulated worlds; the same command goes on with an interrupted run"""
+    try:
+        from densecavoid.learning.train_detector import TrainDetectorConfig, train_detector
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
+    config = tyro.cli(TrainDetectorConfig, prog="densecavoid perceive train-detector", args=args)
+    card = train_detector(config)
+    print(f"average precision {card.training['check_ap50']:.3f} in other training worlds -> {config.out}/detector.onnx")
+
+
+@dataclass(frozen=True)
+class ImportDarknetConfig:
+    """Settings of `densecavoid perceive import-darknet`."""
+
+    weights: Path
+    """Darknet's .weights file, COCO's of YOLOv3 for example."""
+    out: Path = Path("yolov3.onnx")
+    """Where the ONNX file goes."""
+    configuration: str = "yolov3"
+    """Which network they are of: yolov3, yolov3-tiny, or a .cfg file."""
+    size: int | None = None
+    """Sides of the network's input, a multiple of 32; else the configuration's."""
+
+
+def _import_darknet(args: Sequence[str]) -> None:
+    """turn Darknet weights for colour images into an ONNX file that finds people"""
+    try:
+        from densecavoid.perception.detector.export import import_darknet
+    except ModuleNotFoundError as error:
+        raise ValueError(f"importing needs {error.name}: pip install 'densecavoid[train]'") from None
+    config = tyro.cli(ImportDarknetConfig, prog="densecavoid perceive import-darknet", args=args)
+    size = None if config.size is None else (config.size, config.size)
+    import_darknet(config.weights, config.out, config.configuration, size)
+    print(config.out)
+
+
 def _train_legs(args: Sequence[str]) -> None:
     """train the classifier of legs in lidar scans"""
     from densecavoid.perception.leg_training import LegTrainingConfig, train_legs
@@ -77,7 +135,39 @@ def _train_legs(args: Sequence[str]) -> None:
     print(config.out)
 
 
-PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {"train-legs": _train_legs}
+def _train_predictor(args: Sequence[str]) -> None:
+    """train what foresees where people will be; a run that was cut off goes on"""
+    try:
+        from densecavoid.perception.predictor.training import TrainPredictorConfig, train_predictor
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
+    print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))
+
+
+def _fit_error_model(args: Sequence[str]) -> None:
+    """watch the detector at work and fit the errors that training gives true boxes"""
+    from densecavoid.perception.evaluation.error_fit import ErrorFit, fit_detector_errors
+
+    config = tyro.cli(ErrorFit, prog="densecavoid perceive fit-error-model", args=args)
+    print(f"{fit_detector_errors(config).source} -> {config.out}")
+
+
+def _evaluate_perception(args: Sequence[str]) -> None:
+    """measure detector, tracker, legs, predictors, prediction frame: tables, JSON and pictures"""
+    from densecavoid.baselines import GoToGoal
+    from densecavoid.perception.evaluation.report import EvaluateConfig, evaluate
+
+    evaluate(tyro.cli(EvaluateConfig, prog="densecavoid perceive evaluate", args=args), GoToGoal())
+
+
+PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
+    "train-detector": _train_detector,
+    "import-darknet": _import_darknet,
+    "train-legs": _train_legs,
+    "train-predictor": _train_predictor,
+    "fit-error-model": _fit_error_model,
+    "evaluate": _evaluate_perception,
+}
 """What `densecavoid perceive` can do."""
 
 
@@ -93,11 +183,35 @@ def _perceive(args: Sequence[str]) -> None:
     PERCEIVE[args[0]](args[1:])
 
 
+def _export(args: Sequence[str]) -> None:
+    """write the folder that robots run"""
+    from densecavoid.robot.verbs import export
+
+    export(args)
+
+
+def _robot(args: Sequence[str]) -> None:
+    """drive a robot: the ROS 1 node, the ROS 2 node, the fault campaign"""
+    from densecavoid.robot.verbs import robot
+
+    robot(args)
+
+
+def _replay(args: Sequence[str]) -> None:
+    """run a recording (.bag, .mcap, .db3) through the robot's loop"""
+    from densecavoid.robot.verbs import replay
+
+    replay(args)
+
+
 VERBS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": _run,
     "train": _train,
     "benchmark": _benchmark,
     "perceive": _perceive,
+    "export": _export,
+    "robot": _robot,
+    "replay": _replay,
 }
 
 

@@ -11,8 +11,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from densecavoid.env import DenseCAvoidEnv, DenseCAvoidVectorEnv, RewardConfig, make, make_vec, register_environments
-from densecavoid.env.environments import environment_id
 from densecavoid.env.observation import Observer, ObserverConfig
+from densecavoid.env.registration import environment_id
 from densecavoid.env.reward import Transition, reward_terms
 from densecavoid.frames import SensorFrame, goal_polar, wrap_angle
 from densecavoid.scenarios import make_scenario, names

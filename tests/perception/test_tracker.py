@@ -14,7 +14,7 @@ from densecavoid.perception.detections import MAX_DETECTIONS, Detections, alloca
 from densecavoid.perception.kalman import kalman_correct, kalman_predict
 from densecavoid.perception.tracker import ACCELERATION_STD, MAX_UNSEEN_S, Sighting, Tracker
 from densecavoid.perception.tracks import HISTORY, MAX_TRACKS
-from densecavoid.perception.visibility import camera_view, lidar_view
+from densecavoid.perception.visibility import depth_view, lidar_view
 
 CAMERA, LIDAR = CameraConfig(), LidarConfig()
 DT = 0.1
@@ -36,7 +36,7 @@ def camera(detections: Detections, depth_m: float | np.ndarray = 4.99) -> Sighti
     """What a camera found, before a background or an image."""
     image = np.empty((len(detections.count), CAMERA.height, CAMERA.width), np.float32)
     image[:] = depth_m
-    return Sighting(detections, camera_view(image, CAMERA))
+    return Sighting(detections, depth_view(image, CAMERA))
 
 
 def lidar(detections: Detections, range_m: float | np.ndarray = np.inf) -> Sighting:

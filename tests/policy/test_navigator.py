@@ -10,10 +10,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from densecavoid.benchmark.navigators import make_navigator  # noqa: E402
 from densecavoid.env.observation import Observer, ObserverConfig  # noqa: E402
 from densecavoid.frames import Navigator, SensorFrame  # noqa: E402
 from densecavoid.policy.export import describe, export_onnx  # noqa: E402
-from densecavoid.policy.navigator import PolicyNavigator, load_policy  # noqa: E402
+from densecavoid.policy.navigator import PolicyNavigator, load_policy, read_observer_config  # noqa: E402
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors  # noqa: E402
 from densecavoid.policy.runtime import OnnxPolicy  # noqa: E402
 from densecavoid.scenarios import make_scenario  # noqa: E402
@@ -31,7 +32,9 @@ def network() -> ActorCritic:
 @pytest.fixture(scope="module")
 def path(network: ActorCritic, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("policy") / "p.onnx"
-    export_onnx(path, network, describe(network, "p", observation=dataclasses.asdict(ObserverConfig(horizon_s=0.6))))
+    export_onnx(
+        path, network, describe(network, "p", observation=dataclasses.asdict(ObserverConfig(horizons_s=(0.6,))))
+    )
     return path
 
 
@@ -53,21 +56,46 @@ def frames(worlds: int, steps: int) -> list[SensorFrame]:
     return navigator
 
 
-def test_it_is_a_navigator_and_says_that_it_reads_ground_truth(path: Path) -> None:
+def test_it_is_a_navigator_and_says_when_it_reads_ground_truth(path: Path) -> None:
     navigator = load_policy(path)
     assert isinstance(navigator, Navigator)
-    assert navigator.name == "p" and navigator.privileged
+    assert navigator.name == "p" and not navigator.privileged
+    for people_from in ("truth", "boxes"):
+        navigator = load_policy(path, people_from=people_from)
+        assert navigator.name == f"p:{people_from}" and navigator.privileged
+
+
+def test_it_finds_people_by_itself_unless_told_otherwise(path: Path) -> None:
+    frame = frames(1, 1)[0]
+    blind = dataclasses.replace(frame, truth=None)
+    load_policy(path).act(blind)
+    with pytest.raises(ValueError, match="no ground truth"):
+        load_policy(path, people_from="truth").act(blind)
+
+
+def test_names_say_where_people_come_from(path: Path) -> None:
+    assert not make_navigator(str(path)).privileged
+    assert make_navigator(f"{path}:truth").privileged
+    assert make_navigator("densecavoid:truth").privileged and not make_navigator("densecavoid").privileged
+    with pytest.raises(ValueError, match="unknown navigator"):
+        make_navigator("go-to-goal:truth")
+
+
+def test_the_first_policies_single_horizon_is_understood() -> None:
+    config = read_observer_config({"horizon_s": 0.6, "people_from": "truth"}, "detector")
+    assert config == ObserverConfig(horizons_s=(0.6,), people_from="detector")
 
 
 def test_a_policy_without_the_prediction_frame_is_not_privileged(network: ActorCritic, tmp_path: Path) -> None:
     export_onnx(tmp_path / "d.onnx", network, describe(network, "d", sensors="depth-lidar"))
-    assert not load_policy(tmp_path / "d.onnx").privileged
+    for people_from in ("detector", "truth"):
+        assert not load_policy(tmp_path / "d.onnx", people_from=people_from).privileged
 
 
 def test_its_command_is_the_networks_mean_of_the_observers_observation(path: Path, network: ActorCritic) -> None:
-    navigator = load_policy(path)
+    navigator = load_policy(path, people_from="truth")
     navigator.reset(np.ones(3, bool))
-    observer = Observer(ObserverConfig(horizon_s=0.6), 3)
+    observer = Observer(ObserverConfig(horizons_s=(0.6,)), 3)
     for frame in frames(3, 3):
         command = navigator.act(frame)
         observation = observer.observe(frame)

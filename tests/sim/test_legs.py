@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import legs
+from densecavoid.frames import LidarConfig
 
 WIDTH_M, SEPARATION_M = 0.137, 0.288
 """Medians of real people's clusters (FACTS, Crowds)."""
-URG = legs.Scanner(-2.35619, 0.00613592, 768, 0.03, 11.0)
+INCREMENT_RAD = 0.00613592
+URG = LidarConfig(768, 767 * INCREMENT_RAD, 11.0, 0.03)
 """The recordings' scanner."""
 
 
@@ -35,7 +37,7 @@ def scan_of_discs(*discs: tuple[float, float, float]) -> np.ndarray:
 
 
 def test_the_extractor_measures_two_discs_and_joins_them_when_they_come_near():
-    place, step = np.array([2.0, 0.0]), 2.0 * URG.increment_rad
+    place, step = np.array([2.0, 0.0]), 2.0 * INCREMENT_RAD
     apart = legs.measure(scan_of_discs((2.0, 0.16, 0.06), (2.0, -0.16, 0.06))[None], URG.angles_rad, place[None])
     assert apart.shown.tolist() == [2]
     assert apart.separation_m == pytest.approx([0.32], abs=step)
@@ -90,8 +92,3 @@ def test_a_walker_shows_two_legs_that_pass_each_other():
     assert np.percentile(found.separation_m, 95) == pytest.approx(0.58 * 0.73, rel=0.1)
     standing = legs.simulate(URG, rows * [1, 1, 0, 0] + [0, 0, 0.0, 0.0])
     assert (standing.shown >= 1).all() and math.isclose(standing.single, 1.0, abs_tol=0.05)
-
-
-def test_a_folder_without_recordings_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="no leg_tracker"):
-        legs.recordings(tmp_path)

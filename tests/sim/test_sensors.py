@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from densecavoid.env.observation import ObserverConfig
 from densecavoid.frames import CameraConfig, Command, LidarConfig
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.floorplan import FloorPlan
@@ -139,5 +138,3 @@ def test_sensors_that_cannot_be_are_refused_by_name():
         SimConfig(camera=CameraConfig(rate_hz=7.0))
     with pytest.raises(ValueError, match="mount_pitch_rad"):
         CameraConfig(mount_pitch_rad=1.3)
-    with pytest.raises(ValueError, match="people_from nothing"):
-        ObserverConfig(camera=CameraConfig(mount_pitch_rad=0.2))

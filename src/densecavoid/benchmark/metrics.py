@@ -50,6 +50,10 @@ class EpisodeMetrics:
     """Share of time with a person's body within .45 m of the robot's centre."""
     jerk_m_s3: float
     w_sign_changes: int
+    reference_time_s: float | None = None
+    """Time to goal of the planner that knows everybody's future; None where it found no way."""
+    density_per_m2: float | None = None
+    """People per m2 around the straight way from start to goal (`planner.Judgement`)."""
 
     @property
     def success(self) -> bool:
@@ -140,12 +144,18 @@ def turn_sign_changes(angular_velocity: Float[np.ndarray, "T1"], dead_band: floa
     return int((np.diff(np.sign(turning)) != 0).sum())
 
 
-def episode_metrics(episode: Episode, shortest_m: float | None = None) -> EpisodeMetrics:
+def episode_metrics(
+    episode: Episode,
+    shortest_m: float | None = None,
+    reference_time_s: float | None = None,
+    density_per_m2: float | None = None,
+) -> EpisodeMetrics:
     """All figures of one episode.
 
     Args:
         episode: Its record.
         shortest_m: Length of the shortest path for SPL; the straight line from start to goal unless given.
+        reference_time_s, density_per_m2: What is known of its world.
     """
     position_w = episode.pose_w[:, :2]
     success, collision = episode.outcome == "success", episode.outcome == "collision"
@@ -171,6 +181,8 @@ def episode_metrics(episode: Episode, shortest_m: float | None = None) -> Episod
         personal_space=personal_space_share(episode.clearance_people_m),
         jerk_m_s3=mean_absolute_jerk(episode.time_s, episode.velocity[:, 0]),
         w_sign_changes=turn_sign_changes(episode.velocity[:, 1]),
+        reference_time_s=reference_time_s,
+        density_per_m2=density_per_m2,
     )
 
 
@@ -190,6 +202,8 @@ def summarise(episodes: Sequence[EpisodeMetrics]) -> dict[str, object]:
     driven_m = sum(episode.path_length_m for episode in episodes)
     cell["path_length_m"] = _mean([episode.path_length_m for episode in successes])
     cell["time_to_goal_s"] = _mean([episode.time_to_goal_s for episode in successes])
+    known = [episode for episode in successes if episode.reference_time_s is not None]
+    cell["time_over_reference"] = _mean([episode.duration_s / (episode.reference_time_s or 1.0) for episode in known])
     cell["spl"] = _mean([episode.spl for episode in episodes])
     cell["clearance_m"] = _mean([episode.clearance_m for episode in episodes])
     cell["clearance_people_m"] = _mean([episode.clearance_people_m for episode in episodes])

@@ -1,4 +1,5 @@
-"""Tables and a plot of a benchmark's results. Reads `results.json` alone, so that it can be made again at any time."""
+"""Tables, a plot and a page of a benchmark's results. Reads what the benchmark wrote, so that they can be made again at
+any time."""
 
 from __future__ import annotations
 
@@ -11,30 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from densecavoid.benchmark.charts import COLOURS
+from densecavoid.benchmark.page import write_page
+from densecavoid.benchmark.paper import PAPER_FROZEN, PAPER_PATH_M, PAPER_SUCCESS
 from densecavoid.frames import require
 
-PAPER_SUCCESS: dict[str, dict[str, float]] = {
-    "depth": {"dense-static": 0.26, "random-sparse-ped": 0.73, "dense-ped": 0.55},
-    "depth-lidar": {"dense-static": 0.60, "random-sparse-ped": 0.733, "dense-ped": 1.0},
-    "densecavoid": {"dense-static": 0.93, "random-sparse-ped": 0.87, "dense-ped": 1.0},
-}
-"""Success rates of Sathyamoorthy et al., DenseCAvoid (2020), first results table; they fit about 15 trials a cell."""
-
-PAPER_FROZEN: dict[str, dict[str, float]] = {
-    "depth": {"robot-freezing:0.5-1.0": 1.0, "robot-freezing:1.0-1.5": 0.53, "robot-freezing:1.5-2.0": 0.27},
-    "depth-lidar": {"robot-freezing:0.5-1.0": 1.0, "robot-freezing:1.0-1.5": 0.33, "robot-freezing:1.5-2.0": 0.0},
-    "densecavoid": {"robot-freezing:0.5-1.0": 1.0, "robot-freezing:1.0-1.5": 0.05, "robot-freezing:1.5-2.0": 0.0},
-}
-"""Frozen rates of its second; there the first column is "less than 1.0 m"."""
-
-PAPER_PATH_M: dict[str, dict[str, float]] = {
-    "depth": {"random-sparse-ped": 5.5, "dense-ped": 16.3},
-    "depth-lidar": {"random-sparse-ped": 5.11, "dense-ped": 15.51},
-    "densecavoid": {"random-sparse-ped": 6.39, "dense-ped": 16.87},
-}
-"""Mean path lengths in metres, from the same table as the success rates."""
-
-COLOURS = ("#2563eb", "#9aa5b1", "#f08a4b", "#168754", "#8b5cf6", "#c82d3c", "#0e9aa7", "#b58300")
 INK, MUTED = "#1f2933", "#7b8794"
 
 Cell = dict
@@ -42,16 +24,17 @@ Cell = dict
 
 
 def write_report(results: dict, out: Path) -> None:
-    """Writes tables.md and success.png into a folder.
+    """Writes tables.md, success.png and index.html into a folder.
 
     Args:
         results: What `run_benchmark` returned, or what results.json holds.
-        out: The folder; made if it is not there.
+        out: The folder, made if it is not there; the page shows what else the benchmark left in it.
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     (out / "tables.md").write_text(tables(results), encoding="utf-8")
     plot_success(results, out / "success.png")
+    write_page(results, out)
 
 
 def report_of(folder: Path) -> None:
@@ -63,7 +46,7 @@ def tables(results: dict) -> str:
     """All figures as Markdown: a group of tables for each question, navigators as rows and scenarios as columns."""
     cells: list[Cell] = results["cells"]
     require(len(cells) > 0, "cells of the results", cells, "at least one")
-    parts = ["# Results", _conditions(results)]
+    parts = ["# Results", _conditions(results), *_worlds(results)]
 
     def add(title: str, text: Callable[[Cell], str]) -> None:
         parts.append(f"### {title}\n\n{_table(cells, text)}")
@@ -75,6 +58,7 @@ def tables(results: dict) -> str:
         "Path length of successes (m)", lambda cell: _number(cell["path_length_m"], 2) + _paper(cell, PAPER_PATH_M, "m")
     )
     add("Time to goal of successes (s)", lambda cell: _number(cell["time_to_goal_s"], 1))
+    add("Time to goal of successes, by the oracle's", lambda cell: _number(cell.get("time_over_reference"), 2))
     parts.append("## How does it fail?")
     add("Frozen", lambda cell: _rate(cell, "frozen", PAPER_FROZEN))
     add("Collision, at fault", lambda cell: _rate(cell, "collision_at_fault"))
@@ -164,13 +148,28 @@ def _conditions(results: dict) -> str:
     return "\n".join(lines)
 
 
+def _worlds(results: dict) -> list[str]:
+    """How many of the worlds could be solved, and how quickly."""
+    if not results.get("worlds"):
+        return []
+    lines = ["| scenario | can be solved | worlds driven in | oracle's time (s) |", "|---|---|---|---|"]
+    for world in results["worlds"]:
+        low, high = world["share_ci95"]
+        share = f"{world['solvable']} of {world['tried']}: {world['share']:.2f} [{low:.2f}, {high:.2f}]"
+        note = "" if world["filtered"] else ", the others too"
+        lines.append(
+            f"| {world['scenario']} | {share} | {world['admitted']}{note} | {_number(world['reference_time_s'], 1)} |"
+        )
+    return ["## Worlds\n\n" + "\n".join(lines)]
+
+
 _NOTES = """## Notes
 
 Rates with Wilson 95 % intervals in brackets; "paper" is what the paper printed for the same navigator, from about 15
 trials. Frozen: a net displacement under .30 m in some 10 s before the goal, or, in robot-freezing, not past the people
 30 s after they appeared. At fault: with a thing, or with a person whom the robot moved towards faster than .1 m/s in
 the last .5 s; walked into: all other collisions. Clearances are from the robot's centre to a person's body.
-A privileged navigator reads ground truth."""
+A privileged navigator reads ground truth; `oracle` knows the future, and its time is the reference."""
 
 
 def _rate(cell: Cell, name: str, paper: dict[str, dict[str, float]] | None = None) -> str:

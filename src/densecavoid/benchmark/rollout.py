@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from densecavoid.benchmark.episode import Episode, PeopleTracks
+from densecavoid.benchmark.oracle import Oracle
 from densecavoid.frames import Command, Navigator, People, SensorFrame, require
 from densecavoid.sim.world import Simulator
 
@@ -59,6 +60,8 @@ def run_episodes(
                 recorders[b] = _Recorder()
                 recorders[b].record_instant(instants[b], people, b)
         if renewed.any():
+            if isinstance(navigator, Oracle):
+                navigator.foretell(simulator, world_seeds, renewed)
             navigator.reset(renewed)
         frame = simulator.sense()
         command = navigator.act(frame)

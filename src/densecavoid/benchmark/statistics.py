@@ -13,8 +13,8 @@ from densecavoid.frames import require
 
 
 @dataclass(frozen=True)
-class PairedDifference:
-    """The mean of a - b over pairs, with its percentile bootstrap interval."""
+class Difference:
+    """The mean of a - b, over pairs or of two samples, with its percentile bootstrap interval."""
 
     mean: float
     low: float
@@ -61,7 +61,7 @@ def paired_bootstrap(
     resamples: int = 10_000,
     confidence: float = 0.95,
     seed: int = 0,
-) -> PairedDifference:
+) -> Difference:
     """The mean of a - b over pairs (the same worlds driven by two navigators), with a percentile bootstrap interval.
 
     Args:
@@ -79,7 +79,35 @@ def paired_bootstrap(
     require(len(a) > 0, "number of pairs", len(a), "at least 1")
     difference = a - b
     require(bool(np.isfinite(difference).all()), "pairs", "not finite", "finite numbers")
+    means = _resampled_means(difference, resamples, np.random.default_rng(seed))
+    return _difference(float(difference.mean()), means, confidence)
+
+
+def unpaired_bootstrap(
+    a: Float[np.ndarray, "n"],
+    b: Float[np.ndarray, "m"],
+    resamples: int = 10_000,
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> Difference:
+    """The difference of the means of two separate samples, with its percentile bootstrap interval.
+
+    Raises:
+        ValueError: when one of them is empty or not finite.
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    for name, sample in (("a", a), ("b", b)):
+        require(sample.ndim == 1 and len(sample) > 0, f"shape of {name}", sample.shape, "a vector, not empty")
+        require(bool(np.isfinite(sample).all()), name, "not finite", "finite numbers")
     rng = np.random.default_rng(seed)
-    means = np.array([difference[rng.integers(len(a), size=len(a))].mean() for _ in range(resamples)])
+    means = _resampled_means(a, resamples, rng) - _resampled_means(b, resamples, rng)
+    return _difference(float(a.mean() - b.mean()), means, confidence)
+
+
+def _resampled_means(values: Float[np.ndarray, "n"], resamples: int, rng: np.random.Generator) -> np.ndarray:
+    return np.array([values[rng.integers(len(values), size=len(values))].mean() for _ in range(resamples)])
+
+
+def _difference(mean: float, means: np.ndarray, confidence: float) -> Difference:
     low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return PairedDifference(float(difference.mean()), float(low), float(high))
+    return Difference(mean, float(low), float(high))

@@ -15,7 +15,7 @@ from densecavoid.env.privileged import PERSON_NUMBERS, nearest_people
 from densecavoid.env.reward import RewardConfig
 from densecavoid.env.task import NavigationTask, action_space, observation_space
 from densecavoid.frames import Observation
-from densecavoid.scenarios import make_scenario, names
+from densecavoid.scenarios import make_scenario
 from densecavoid.sim.spec import Scenario
 from densecavoid.sim.world import SimConfig
 
@@ -192,20 +192,3 @@ def make(scenario: Scenario | str, **kwargs: Any) -> DenseCAvoidEnv:
 def make_vec(scenario: Scenario | str, num_envs: int, **kwargs: Any) -> DenseCAvoidVectorEnv:
     """A Gymnasium vector environment; arguments as `DenseCAvoidVectorEnv`."""
     return DenseCAvoidVectorEnv(scenario, num_envs, **kwargs)
-
-
-def environment_id(scenario: str) -> str:
-    """The registered Gymnasium id of a scenario: `densecavoid/dense-ped-v0`."""
-    return f"densecavoid/{scenario.replace(':', '-').replace('.', '_')}-v0"
-
-
-def register_environments() -> None:
-    """Makes every scenario that needs no data known to `gymnasium.make` and `gymnasium.make_vec`."""
-    for name in names():
-        if environment_id(name) not in gym.registry:
-            gym.register(
-                id=environment_id(name),
-                entry_point="densecavoid.env.environments:DenseCAvoidEnv",
-                vector_entry_point="densecavoid.env.environments:DenseCAvoidVectorEnv",
-                kwargs={"scenario": name},
-            )

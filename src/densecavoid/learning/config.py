@@ -78,6 +78,9 @@ class TrainConfig:
     """Iterations between two checkpoints."""
     prediction_horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
+    people_from: Literal["boxes", "truth"] = "boxes"
+    """Where the prediction frame's people come from: true places with the detector's errors, as a robot will see them,
+    or without errors."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     variety: VarietyConfig = field(default_factory=VarietyConfig)
@@ -89,6 +92,7 @@ class TrainConfig:
         choose("stage", self.stage, ("all", *STAGES))
         choose("network", self.network, tuple(PRESETS))
         choose("sensor configuration", self.sensors, SENSORS)
+        choose("people_from", self.people_from, ("boxes", "truth"))
         choose("device", self.device, ("auto", "cpu", "cuda"))
         choose("precision", self.precision, ("auto", "float32", "bfloat16"))
         choose("critic", self.critic, ("as-network", "shared", "separate"))

@@ -17,8 +17,8 @@ def observer_config(config: TrainConfig) -> ObserverConfig:
     return ObserverConfig(
         lidar=config.sim.lidar,
         camera=config.sim.camera,
-        people_from="truth" if config.sensors == "densecavoid" else "nothing",
-        horizon_s=config.prediction_horizon_s,
+        people_from=config.people_from if config.sensors == "densecavoid" else "nothing",
+        horizons_s=(config.prediction_horizon_s,),
         control_dt_s=config.sim.control_dt_s,
         threads=config.sim.threads,
     )

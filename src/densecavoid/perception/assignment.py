@@ -7,7 +7,6 @@ method decides.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from densecavoid.sim._jit import kernel
 
@@ -83,6 +82,8 @@ def settle_uncontested(scores, match):
 
 def settle_contested(scores: np.ndarray, match: np.ndarray) -> None:
     """Settles what `settle_uncontested` left over in one world, in place."""
+    from scipy.optimize import linear_sum_assignment  # takes a third of a second: robots load it before they drive
+
     rows = np.flatnonzero(match == CONTESTED)
     match[rows] = NOBODY
     # Pairs that are not possible count nothing, so that they are taken only where nothing better is left.

@@ -28,6 +28,11 @@ class LegRecording:
     """Of each scan; none where nothing is labelled."""
 
     @property
+    def angles_rad(self) -> Float[np.ndarray, "rays"]:
+        """Of each ray, in the scanner's frame."""
+        return self.yaw_rad + self.lidar.angles_rad
+
+    @property
     def pose(self) -> Float[np.ndarray, "scans 3"]:
         """The scanner's in its own frame, for each scan."""
         return np.tile([0.0, 0.0, self.yaw_rad], (len(self.time_s), 1))
@@ -80,7 +85,7 @@ def empty_rooms(data: Path) -> list[LegRecording]:
     try:
         from rosbags.highlevel import AnyReader
     except ModuleNotFoundError:
-        raise ValueError("reading bags needs rosbags: pip install 'densecavoid[bags]'") from None
+        raise ValueError("reading bags needs rosbags: pip install 'densecavoid[robot]'") from None
     scans: dict[str, list] = {}
     with AnyReader([data / "leg_tracker" / "negative_2.bag"]) as reader:
         for connection, _, raw in reader.messages():
@@ -96,10 +101,10 @@ def empty_rooms(data: Path) -> list[LegRecording]:
     return found
 
 
-def held_out(recording: LegRecording, training: bool) -> LegRecording:
-    """The first half of a recording, to train on, or the second, to test on."""
+def half_of(recording: LegRecording, first: bool) -> LegRecording:
+    """The first half of a recording, or the second."""
     half = len(recording.time_s) // 2
-    part = slice(None, half) if training else slice(half, None)
+    part = slice(None, half) if first else slice(half, None)
     return LegRecording(
         recording.name,
         recording.lidar,

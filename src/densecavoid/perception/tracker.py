@@ -18,7 +18,7 @@ from densecavoid.perception.assignment import NOBODY, settle_contested, settle_u
 from densecavoid.perception.detections import MAX_DETECTIONS, Detections
 from densecavoid.perception.kalman import kalman_correct, kalman_predict
 from densecavoid.perception.tracks import HISTORY, HISTORY_DT_S, MAX_TRACKS, Tracks, allocate_tracks, forget, remember
-from densecavoid.perception.visibility import CameraView, LidarView, legs_seen_by_lidar, seen_by_camera
+from densecavoid.perception.visibility import DepthView, LidarView, legs_seen_by_lidar, seen_by_camera
 from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
 
 ACCELERATION_STD = 1.0
@@ -28,39 +28,64 @@ MAX_UNSEEN_S = 3.0
 TYPICAL_BODY = (0.255, 1.71)
 """Radius and height in m of a person of whom only the legs are seen (adults: sim/people.py)."""
 
-_NEW_SPEED_STD = 1.0  # m/s
 _LEAST_STD_M = 0.02
 _FARTHEST_M = 1e4  # what is reported farther from the origin is no position
-_GATE = 13.8  # squared Mahalanobis distance that a person's own detection exceeds once in a thousand (chi2, 2 d.f.)
 _INSEPARABLE_M = 0.3  # nearer than that people do not stand (first percentile of neighbours' distances in crowds)
-_NEWCOMERS_PER_M2 = 0.01  # detections that belong to no track, in a frame
-_MOST_EVIDENCE, _LEAST_EVIDENCE = 4.0, -1.0  # log-odds: no more is counted; below that a track is given up
-_CONFIRMED = 2.0  # log-odds from which a track is surely a person's
-_GAIN = (-1.0, 2.0)  # least and most log-odds that one detection adds: one detector errs alike many times in a row
-_RATE_OF_FORGETTING = 0.4  # 1/s, log-odds that a track loses for as long as nobody sees it
-_MOST_MISSED = 0.7  # of people whom a sensor ought to see, the share of which a single miss convinces
-_MOVED_M, _MOVING = 0.5, 0.25  # m and m/s from which a track of legs alone is a person's: furniture stands
-_STEADY = 0.5  # share of a moving track's way that leads on; what flickers between things goes to and fro
 _UNUSABLE = -3  # in place of a track: beside assignment.NOBODY and CONTESTED
 _SAME_PERSON_M = 0.5  # a leg so near to a tracked person is theirs
+
+
+class TrackerSettings(NamedTuple):
+    """What a tracker believes of people and of detectors; the defaults are tuned in simulated worlds of training
+    (`benchmarks/tracking.py --tune`). Evidence is in log-odds that a track is a person's who is still there."""
+
+    acceleration_std: float = ACCELERATION_STD
+    new_speed_std: float = 0.7
+    """m/s, of x and of y, of somebody just found."""
+    gate: float = 13.8
+    """Squared Mahalanobis distance beyond which a detection is not a track's (chi2, 2 d.f.: once in a thousand)."""
+    newcomers_per_m2: float = 0.014
+    """Detections that belong to no track, in a frame."""
+    most_evidence: float = 4.5
+    """No more is counted."""
+    least_evidence: float = -1.8
+    """Below that a track is given up."""
+    confirmed: float = 2.0
+    """From which a track is surely a person's."""
+    gain_bias: float = 0.7
+    """That a detection adds to the log-odds of its confidence."""
+    least_gain: float = -1.0
+    most_gain: float = 1.4
+    """That one detection adds: one detector errs alike many times in a row."""
+    forgotten_per_s: float = 0.9
+    """That a track loses for as long as nobody sees it."""
+    most_missed: float = 0.7
+    """Of people whom a sensor ought to see, the share of which a single miss convinces."""
+    max_unseen_s: float = MAX_UNSEEN_S
+    moved_m: float = 0.21
+    """How far a track of legs alone must come to be a person's: furniture stands."""
+    moving: float = 0.18
+    """m/s, how fast it must be."""
+    steady: float = 0.8
+    """Share of its way that must lead on: what flickers between things goes to and fro."""
 
 
 class Sighting(NamedTuple):
     """What one sensor found, and what it looked at."""
 
     detections: Detections
-    view: CameraView | LidarView
+    view: DepthView | LidarView
 
 
 @kernel
-def _predict(first, last, which, tracks, dt):
+def _predict(first, last, which, tracks, settings, dt):
     for b in range(first, last):
         if which[b]:
             for t in range(tracks.live.shape[1]):
                 if tracks.live[b, t]:
-                    kalman_predict(tracks.state[b, t], tracks.covariance[b, t], dt, ACCELERATION_STD)
+                    kalman_predict(tracks.state[b, t], tracks.covariance[b, t], dt, settings.acceleration_std)
                     tracks.unseen_s[b, t] += dt
-                    tracks.existence[b, t] -= _RATE_OF_FORGETTING * dt
+                    tracks.existence[b, t] -= settings.forgotten_per_s * dt
 
 
 @inner
@@ -71,7 +96,7 @@ def _is_usable(detections, b, d):
 
 
 @kernel
-def _score(tracks, b, detections, rows, columns, scores):
+def _score(tracks, settings, b, detections, rows, columns, scores):
     """Log-likelihood that each detection of `rows` comes from each track of `columns`, over that it is somebody new
     (Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, section 6.2). Where two people cannot
     stand it is the track's at the worst, whatever the filter thinks of it."""
@@ -85,15 +110,15 @@ def _score(tracks, b, detections, rows, columns, scores):
             off_y = detections.pos[b, d, 1] - tracks.state[b, t, 1]
             off2 = off_x * off_x + off_y * off_y
             gain = 0.0
-            if off2 < _GATE * variance:
-                gain = -math.log(2.0 * math.pi * variance * _NEWCOMERS_PER_M2) - 0.5 * off2 / variance
+            if off2 < settings.gate * variance:
+                gain = -math.log(2.0 * math.pi * variance * settings.newcomers_per_m2) - 0.5 * off2 / variance
             if off2 < _INSEPARABLE_M**2:
                 gain = max(gain, 1e-3 * (_INSEPARABLE_M**2 - off2))
             scores[i, j] = gain
 
 
 @kernel
-def _assign(first, last, which, tracks, detections, match, scores, contested):
+def _assign(first, last, which, tracks, settings, detections, match, scores, contested):
     """Writes the track of each detection into `match` [B, D], and the scores of worlds that are `contested`."""
     slots, room = tracks.live.shape[1], detections.pos.shape[1]
     rows, columns = np.empty(room, np.int32), np.empty(slots, np.int32)
@@ -113,7 +138,7 @@ def _assign(first, last, which, tracks, detections, match, scores, contested):
                 columns[num_columns] = t
                 num_columns += 1
         table = np.zeros((num_rows, num_columns))
-        _score(tracks, b, detections, rows[:num_rows], columns[:num_columns], table)
+        _score(tracks, settings, b, detections, rows[:num_rows], columns[:num_columns], table)
         mine = np.empty(num_rows, np.int32)
         contested[b] = settle_uncontested(table, mine)
         if contested[b]:
@@ -135,7 +160,7 @@ def _mark_missed(tracks, b, match, missed):
 
 
 @kernel
-def _camera_misses(first, last, which, tracks, match, pose, view, chance):
+def _camera_misses(first, last, which, tracks, _, match, pose, view, chance):
     """How surely the camera ought to have seen each track that got no detection, into `chance` [B, T]; 0 of others."""
     missed = np.empty(tracks.live.shape[1], np.bool_)
     for b in range(first, last):
@@ -149,7 +174,7 @@ def _camera_misses(first, last, which, tracks, match, pose, view, chance):
 
 
 @kernel
-def _lidar_misses(first, last, which, tracks, match, pose, view, chance):
+def _lidar_misses(first, last, which, tracks, _, match, pose, view, chance):
     """The same of the lidar and a track's legs. Beside things legs are often taken for a part of them, so only rays
     that pass where they should be tell much."""
     missed = np.empty(tracks.live.shape[1], np.bool_)
@@ -166,14 +191,14 @@ def _lidar_misses(first, last, which, tracks, match, pose, view, chance):
 
 
 @inner
-def _evidence(confidence):
+def _evidence(settings, confidence):
     """Log-odds that a detection adds."""
     sure = min(max(confidence, 0.01), 0.99)
-    return min(max(math.log(sure / (1.0 - sure)) + 0.7, _GAIN[0]), _GAIN[1])
+    return min(max(math.log(sure / (1.0 - sure)) + settings.gain_bias, settings.least_gain), settings.most_gain)
 
 
 @inner
-def _take_in(tracks, b, t, detections, d, from_camera):
+def _take_in(tracks, settings, b, t, detections, d, from_camera):
     std = max(detections.std_m[b, d], _LEAST_STD_M)
     kalman_correct(tracks.state[b, t], tracks.covariance[b, t], detections.pos[b, d, 0], detections.pos[b, d, 1], std)
     for k in range(2):
@@ -182,14 +207,14 @@ def _take_in(tracks, b, t, detections, d, from_camera):
             known = tracks.by_camera[b, t]
             tracks.body[b, t, k] += (0.3 if known else 1.0) * (size - tracks.body[b, t, k])
     tracks.by_camera[b, t] |= from_camera
-    gain = _evidence(detections.confidence[b, d])
-    tracks.existence[b, t] = min(tracks.existence[b, t] + gain, _MOST_EVIDENCE)
+    gain = _evidence(settings, detections.confidence[b, d])
+    tracks.existence[b, t] = min(tracks.existence[b, t] + gain, settings.most_evidence)
     tracks.unseen_s[b, t] = 0.0
     tracks.hits[b, t] += 1
 
 
 @inner
-def _begin(tracks, b, detections, d, from_camera, beside_another):
+def _begin(tracks, settings, b, detections, d, from_camera, beside_another):
     """A new track, in a free slot or else in that of the least likely unconfirmed track, if that is less likely."""
     std = max(detections.std_m[b, d], _LEAST_STD_M)
     sure = min(max(detections.confidence[b, d], 0.05), 0.95)
@@ -207,7 +232,7 @@ def _begin(tracks, b, detections, d, from_camera, beside_another):
     tracks.state[b, slot, 2] = tracks.state[b, slot, 3] = 0.0
     tracks.covariance[b, slot, 0] = std * std
     tracks.covariance[b, slot, 1] = 0.0
-    tracks.covariance[b, slot, 2] = _NEW_SPEED_STD**2
+    tracks.covariance[b, slot, 2] = settings.new_speed_std**2
     for k in range(2):
         size = detections.body[b, d, k]
         tracks.body[b, slot, k] = size if 0.0 < size < 3.0 else TYPICAL_BODY[k]
@@ -230,7 +255,7 @@ def _is_tracked_near(tracks, b, slots, x, y):
 
 
 @kernel
-def _take_in_all(first, last, which, tracks, detections, match, chance, from_camera):
+def _take_in_all(first, last, which, tracks, settings, detections, match, chance, from_camera):
     """Corrects the tracks, counts the misses, begins new tracks."""
     slots, room = tracks.live.shape[1], detections.pos.shape[1]
     for b in range(first, last):
@@ -238,34 +263,34 @@ def _take_in_all(first, last, which, tracks, detections, match, chance, from_cam
             continue
         for d in range(room):
             if match[b, d] >= 0:
-                _take_in(tracks, b, match[b, d], detections, d, from_camera)
+                _take_in(tracks, settings, b, match[b, d], detections, d, from_camera)
         for t in range(slots):
             if tracks.live[b, t] and chance[b, t] > 0.0:
-                tracks.existence[b, t] += math.log(1.0 - _MOST_MISSED * chance[b, t])
+                tracks.existence[b, t] += math.log(1.0 - settings.most_missed * chance[b, t])
         for d in range(room):
             if match[b, d] == NOBODY:
                 x, y = detections.pos[b, d, 0], detections.pos[b, d, 1]
                 beside_another = _is_tracked_near(tracks, b, slots, x, y)
                 if from_camera or not beside_another:
-                    _begin(tracks, b, detections, d, from_camera, beside_another)
+                    _begin(tracks, settings, b, detections, d, from_camera, beside_another)
 
 
 @inner
-def _walks(tracks, b, t):
+def _walks(tracks, settings, b, t):
     """Whether a track has come so far, so straight, that it is no piece of furniture."""
     count = tracks.history_count[b, t]
-    if count < 5 or math.hypot(tracks.state[b, t, 2], tracks.state[b, t, 3]) < _MOVING:
+    if count < 5 or math.hypot(tracks.state[b, t, 2], tracks.state[b, t, 3]) < settings.moving:
         return False
     history, way = tracks.history[b, t], 0.0
     for k in range(HISTORY - count + 1, HISTORY):
         way += math.hypot(history[k, 0] - history[k - 1, 0], history[k, 1] - history[k - 1, 1])
     first = HISTORY - count
     moved = math.hypot(history[HISTORY - 1, 0] - history[first, 0], history[HISTORY - 1, 1] - history[first, 1])
-    return moved > _MOVED_M and moved > _STEADY * way
+    return moved > settings.moved_m and moved > settings.steady * way
 
 
 @kernel
-def _judge(first, last, which, tracks, dt):
+def _judge(first, last, which, tracks, settings, dt):
     """Confirms tracks, gives up others, and keeps their histories."""
     for b in range(first, last):
         if not which[b]:
@@ -274,7 +299,8 @@ def _judge(first, last, which, tracks, dt):
         for t in range(tracks.live.shape[1]):
             if not tracks.live[b, t]:
                 continue
-            if not tracks.existence[b, t] > _LEAST_EVIDENCE or not tracks.unseen_s[b, t] < MAX_UNSEEN_S:
+            believed = tracks.existence[b, t] > settings.least_evidence
+            if not believed or not tracks.unseen_s[b, t] < settings.max_unseen_s:
                 tracks.live[b, t] = tracks.confirmed[b, t] = False
                 continue
             ago = tracks.clock_s[b] - HISTORY_DT_S
@@ -282,8 +308,8 @@ def _judge(first, last, which, tracks, dt):
                 if ago < 1e-6 or tracks.hits[b, t] > 1:  # who has only just been found was nowhere before
                     remember(tracks, b, t, max(ago, 0.0))
                 ago -= HISTORY_DT_S
-            if tracks.existence[b, t] > _CONFIRMED and not tracks.confirmed[b, t]:
-                tracks.confirmed[b, t] = tracks.by_camera[b, t] or _walks(tracks, b, t)
+            if tracks.existence[b, t] > settings.confirmed and not tracks.confirmed[b, t]:
+                tracks.confirmed[b, t] = tracks.by_camera[b, t] or _walks(tracks, settings, b, t)
         while tracks.clock_s[b] > HISTORY_DT_S - 1e-6:
             tracks.clock_s[b] = max(tracks.clock_s[b] - HISTORY_DT_S, 0.0)
 
@@ -291,16 +317,23 @@ def _judge(first, last, which, tracks, dt):
 class Tracker:
     """The tracks of B worlds, and how they go on."""
 
-    def __init__(self, num_worlds: int, threads: int = 0) -> None:
+    def __init__(self, num_worlds: int, threads: int = 0, settings: TrackerSettings | None = None) -> None:
         """No tracks yet.
 
         Args:
             num_worlds: B.
             threads: over the worlds; 0 takes all cores.
+            settings: what it believes; the shipped ones unless given.
+
+        Raises:
+            ValueError: if a setting is not finite, or there is no world.
         """
         require(num_worlds >= 1, "num_worlds", num_worlds, "at least 1")
+        settings = settings or TrackerSettings()
+        require(all(map(math.isfinite, settings)), "settings", settings, "finite numbers")
         self.tracks = allocate_tracks(num_worlds)
         self.threads = threads
+        self._settings = TrackerSettings(*map(float, settings))  # one type: compiled once
         self._num_worlds = num_worlds
         self._match = np.empty((num_worlds, MAX_DETECTIONS), np.int32)
         self._scores = np.zeros((num_worlds, MAX_DETECTIONS, MAX_TRACKS))
@@ -338,11 +371,11 @@ class Tracker:
         threads = threads_for(which, self.threads)
 
         def each(function: object, *args: object) -> None:
-            for_worlds(function, self._num_worlds, threads, which, self.tracks, *args)  # type: ignore[arg-type]
+            for_worlds(function, self._num_worlds, threads, which, self.tracks, self._settings, *args)  # type: ignore[arg-type]
 
         each(_predict, dt_s)
         for detections, view in sightings:
-            from_camera = isinstance(view, CameraView)
+            from_camera = isinstance(view, DepthView)
             each(_assign, detections, self._match, self._scores, self._contested)
             for b in np.flatnonzero(self._contested):
                 settle_contested(self._scores[b], self._match[b])

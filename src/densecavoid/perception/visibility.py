@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.frames import CameraConfig, LidarConfig
-from densecavoid.perception.projection import body_box
+from densecavoid.perception.projection import (
+    CameraView,
+    ahead_per_depth,
+    body_sides,
+    camera_view,
+    from_camera,
+    image_height,
+)
 from densecavoid.sim._jit import kernel
 
 _HIDES_M = 0.15  # what is nearer than a body's near side by more than this hides it
@@ -20,15 +27,11 @@ _LEGS_HALF_WIDTH_M = 0.12
 _LEGS_DEPTH_M = 0.35  # legs return between this much before and behind a person's axis
 
 
-class CameraView(NamedTuple):
+class DepthView(NamedTuple):
     """Depth images and how they were taken."""
 
     depth: np.ndarray  # f32 [B, height, width], NaN where there is none
-    focal_x: float  # px
-    focal_y: float
-    mount_x: float  # m ahead of the robot's centre
-    mount_height: float
-    pitch: float  # positive looks down
+    camera: CameraView
     min_range: float
     max_range: float
 
@@ -43,19 +46,9 @@ class LidarView(NamedTuple):
     max_range: float
 
 
-def camera_view(depth_m: np.ndarray, config: CameraConfig) -> CameraView:
+def depth_view(depth_m: np.ndarray, config: CameraConfig) -> DepthView:
     """Depth images [B, height, width] of that camera."""
-    focal_x, focal_y = config.focal_px
-    return CameraView(
-        depth=depth_m,
-        focal_x=float(focal_x),
-        focal_y=float(focal_y),
-        mount_x=float(config.mount_x_m),
-        mount_height=float(config.mount_height_m),
-        pitch=float(config.mount_pitch_rad),
-        min_range=float(config.min_range_m),
-        max_range=float(config.max_range_m),
-    )
+    return DepthView(depth_m, camera_view(config), float(config.min_range_m), float(config.max_range_m))
 
 
 def lidar_view(scan_m: np.ndarray, config: LidarConfig) -> LidarView:
@@ -71,28 +64,24 @@ def seen_by_camera(view, b, pose, x, y, radius, height):
 
     Where there is no depth, half counts as hidden: nothing is known of what is there.
     """
-    rows, width = view.depth.shape[1:]
-    off_x, off_y = x - pose[0], y - pose[1]
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    forward, left = cos * off_x + sin * off_y - view.mount_x, cos * off_y - sin * off_x
+    camera = view.camera
+    forward, left = from_camera(camera, pose, x, y)
     if not view.min_range <= forward - radius or forward > view.max_range:
         return 0.0
-    u_min, _, u_max, _ = body_box(
-        forward, left, radius, height, view.focal_x, view.focal_y, width, rows, view.mount_height
-    )
-    cos_pitch, sin_pitch = math.cos(view.pitch), math.sin(view.pitch)
-    nearest = (forward - radius - _HIDES_M) * cos_pitch
+    right_side, left_side = body_sides(forward, left, radius)
     seen = 0.0
     for level in _TRUNK:
-        up = level * height - view.mount_height
-        along, across = forward * cos_pitch - up * sin_pitch, up * cos_pitch + forward * sin_pitch
-        v = math.floor(0.5 * rows - view.focal_y * across / max(along, 1e-3))
-        if not 0 <= v < rows:
+        v = image_height(camera, (level * height - camera.height_m) / forward)
+        row = math.floor(v)
+        if not 0 <= row < camera.rows:
             continue
-        for column in range(_COLUMNS):
-            u = math.floor(u_min + (u_max - u_min) * (column + 0.5) / _COLUMNS)
-            if 0 <= u < width:
-                depth = view.depth[b, int(v), int(u)]
+        per_depth = ahead_per_depth(camera, v)
+        nearest = (forward - radius - _HIDES_M) / per_depth
+        for part in range(_COLUMNS):
+            slope = left_side + (right_side - left_side) * (part + 0.5) / _COLUMNS
+            column = math.floor(0.5 * camera.width - camera.focal_x * per_depth * slope)
+            if 0 <= column < camera.width:
+                depth = view.depth[b, row, column]
                 if depth > nearest:
                     seen += 1.0
                 elif not depth <= nearest:  # NaN

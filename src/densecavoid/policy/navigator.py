@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import Command, Observation, SensorFrame
+from densecavoid.perception.config import PeopleFrom
+from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.card import PolicyCard
 from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.runtime import OnnxPolicy
@@ -30,27 +34,51 @@ class Policy(Protocol):
 class PolicyNavigator:
     """Satisfies `frames.Navigator`. Owns the observer's memory of each world (earlier scans, tracks)."""
 
-    def __init__(self, policy: Policy, *, sample: bool = False, seed: int = 0, num_worlds: int = 1) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        people_from: PeopleFrom = "detector",
+        sample: bool = False,
+        seed: int = 0,
+        num_worlds: int = 1,
+    ) -> None:
         """
         Args:
             policy: what acts; its file says how observations are made.
+            people_from: where people's places come from, whatever it was in training: the robot's own sensors, or, to
+                compare with, ground truth. Policies that do not see the prediction frame need none.
             sample: draw around the mean, as in the paper's equation, instead of acting with the mean.
             seed: of the draws.
             num_worlds: batch size until the first `reset`.
         """
         self.policy = policy
-        self.name = policy.card.name
-        self._observer_config = from_dict(ObserverConfig, policy.card.observation)
+        uses_people = policy.card.sensors == "densecavoid"
+        self.people_from: PeopleFrom = people_from if uses_people else "nothing"
+        self.name = policy.card.name + (f":{people_from}" if uses_people and people_from != "detector" else "")
+        self._observer_config = read_observer_config(policy.card.observation, self.people_from)
         self._observer = Observer(self._observer_config, num_worlds)
         self._num_worlds = num_worlds
         self._limits = np.array([policy.card.max_linear_velocity, policy.card.max_angular_velocity], np.float32)
+        self.observation: Observation | None = None
+        """What it acted on last, in buffers that the next act writes again."""
         self._std = np.exp(np.array(policy.card.log_std, np.float32)) if sample else None
         self._rng = np.random.default_rng(seed)
 
     @property
     def privileged(self) -> bool:
-        """Whether it reads ground truth: the observer's people boxes do where the policy uses the prediction frame."""
-        return self._observer.privileged and self.policy.card.sensors == "densecavoid"
+        """Whether it reads ground truth."""
+        return self._observer.privileged
+
+    @property
+    def observer_config(self) -> ObserverConfig:
+        """What it must be given to see."""
+        return self._observer_config
+
+    @property
+    def tracks(self) -> Tracks:
+        """Everybody tracked now."""
+        return self._observer.tracks
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forget the episodes of the marked worlds; another length than before starts all of them afresh."""
@@ -70,7 +98,7 @@ class PolicyNavigator:
             raise ValueError(
                 f"the frame has {frame.num_worlds} worlds, expected {self._num_worlds} as in the last reset"
             )
-        observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
+        observation = self.observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
         command = self.policy(observation)
         if self._std is not None:
             command = command + self._std * self._rng.standard_normal(command.shape, dtype=np.float32)
@@ -78,11 +106,25 @@ class PolicyNavigator:
         return Command(command[:, 0], command[:, 1])
 
 
-def load_policy(name_or_path: str | Path, *, sample: bool = False, seed: int = 0) -> PolicyNavigator:
-    """The navigator of a shipped policy (by name) or of an ONNX file.
+def read_observer_config(values: Mapping[str, Any], people_from: PeopleFrom) -> ObserverConfig:
+    """The configuration in a policy's file, with another source of people's places.
+
+    Raises:
+        ValueError: for what is no such configuration.
+    """
+    values = dict(values)
+    if "horizon_s" in values:  # the first policies had a single horizon
+        values["horizons_s"] = [values.pop("horizon_s")]
+    return dataclasses.replace(from_dict(ObserverConfig, values), people_from=people_from)
+
+
+def load_policy(
+    name_or_path: str | Path, *, people_from: PeopleFrom = "detector", sample: bool = False, seed: int = 0
+) -> PolicyNavigator:
+    """The navigator of a shipped policy (by name) or of an ONNX file; arguments as `PolicyNavigator`.
 
     Raises:
         FileNotFoundError: if there is no such policy.
-        ValueError: if the file is not a policy of this project.
+        ValueError: if the file is not a policy of this project, or there is no detector for its camera.
     """
-    return PolicyNavigator(OnnxPolicy(name_or_path), sample=sample, seed=seed)
+    return PolicyNavigator(OnnxPolicy(name_or_path), people_from=people_from, sample=sample, seed=seed)

@@ -18,19 +18,31 @@ from typing import Any
 import numba
 import numpy as np
 
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def source_digest(*parts: str) -> str:
+    """Of the source of the package's rooms and files (`sim`, `benchmark/planner.py`, ...): what was made by other
+    versions of them is not to be used again."""
+    source = hashlib.sha256()
+    for part in parts:
+        path = PACKAGE / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            source.update(file.read_bytes())
+    return source.hexdigest()[:16]
+
+
+def user_cache() -> Path:
+    """The user's folder for what can be made again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "densecavoid"
+
 
 def _cache_folder() -> Path:
     """Where compiled kernels are kept: one place a user, a folder for each version of the package's source.
 
     Numba looks only at a kernel's own file to see whether it changed, not at the files of the kernels it calls.
     """
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    package = Path(__file__).resolve().parents[1]
-    source = hashlib.sha256()
-    for room in ("sim", "scenarios", "perception", "env"):
-        for path in sorted((package / room).rglob("*.py")):
-            source.update(path.read_bytes())
-    return Path(base) / "densecavoid" / f"kernels-{source.hexdigest()[:16]}"
+    return user_cache() / f"kernels-{source_digest('sim', 'scenarios', 'perception', 'env')}"
 
 
 _HELPER = "DENSECAVOID_COMPILES_SENSORS"

@@ -162,7 +162,7 @@ def sensor_key(seed, step, stream):
 
 
 @inner
-def _normal(bits):
+def normal_of(bits):
     """About normal, mean 0 and variance 1, never beyond 3.5: the sum of four 16-bit uniform numbers."""
     low = np.uint64(0xFFFF)
     total = np.int64(bits & low) + np.int64((bits >> np.uint64(16)) & low)
@@ -208,7 +208,7 @@ def spoil_scan(ranges, clean, key, noise):
             if cut and beyond < np.inf and _is_edge(exact, beyond):
                 value += 0.5 * _other_share(bits) * (beyond - exact)  # less than half of the beam is beyond the edge
                 break
-        value += noise.range_share * max(value, 1.0) * _normal(hash_of(chance, r))
+        value += noise.range_share * max(value, 1.0) * normal_of(hash_of(chance, r))
         if noise.step > 0.0:
             value = noise.step * round(value / noise.step)
         ranges[r] = value if noise.min_range <= value <= noise.max_range else np.inf
@@ -241,7 +241,7 @@ def spoil_depth(image, key, noise):
                 other = left if share_of(chance) < 0.5 else beside
                 if not np.isnan(other) and _is_edge(exact, other):
                     value = float(other)
-            value += (noise.floor + noise.per_m2 * (value - 0.4) ** 2) * _normal(hash_of(chance, u))
+            value += (noise.floor + noise.per_m2 * (value - 0.4) ** 2) * normal_of(hash_of(chance, u))
             if noise.disparity_step > 0.0:
                 value = 1.0 / (noise.disparity_step * max(round(1.0 / (value * noise.disparity_step)), 1.0))
             image[v, u] = value if noise.min_range <= value <= noise.max_range else np.nan
@@ -250,8 +250,8 @@ def spoil_depth(image, key, noise):
 @inner
 def drift(odometry, last_pose, pose, key, seed, noise):
     """Moves `odometry` (x, y, yaw) as the wheels report the way from `last_pose` to `pose`; then they are equal."""
-    scale = 1.0 + noise.scale * _normal(hash_of(seed, -1))
-    turn_scale = 1.0 + noise.turn_scale * _normal(hash_of(seed, -2))
+    scale = 1.0 + noise.scale * normal_of(hash_of(seed, -1))
+    turn_scale = 1.0 + noise.turn_scale * normal_of(hash_of(seed, -2))
     step_x, step_y = pose[0] - last_pose[0], pose[1] - last_pose[1]
     distance = math.sqrt(step_x * step_x + step_y * step_y)
     turned = (pose[2] - last_pose[2] + math.pi) % (2.0 * math.pi) - math.pi
@@ -259,7 +259,7 @@ def drift(odometry, last_pose, pose, key, seed, noise):
     halfway = last_pose[2] + 0.5 * turned
     ahead = math.cos(halfway) * step_x + math.sin(halfway) * step_y
     aside = math.cos(halfway) * step_y - math.sin(halfway) * step_x
-    measured = turn_scale * turned + noise.walk * math.sqrt(distance) * _normal(key)
+    measured = turn_scale * turned + noise.walk * math.sqrt(distance) * normal_of(key)
     heading = odometry[2] + 0.5 * measured
     odometry[0] += scale * (math.cos(heading) * ahead - math.sin(heading) * aside)
     odometry[1] += scale * (math.sin(heading) * ahead + math.cos(heading) * aside)

@@ -14,6 +14,7 @@ from densecavoid.benchmark.episode import OUTCOMES, Episode
 from densecavoid.benchmark.rollout import run_episodes
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import CameraConfig, Command, LidarConfig, Navigator, Observation, SensorFrame, choose, require
+from densecavoid.perception.config import PeopleFrom
 from densecavoid.sim.world import Simulator
 from densecavoid.viz import theme
 from densecavoid.viz.panels import LidarPicture, depth_picture, prediction_picture
@@ -122,7 +123,10 @@ class Film:
         self._stage = _Stage(simulator, self._navigator.name, config)
         self._sink = open_sink(self.path, (config.width_px, config.height_px), simulator.config.control_dt_s)
         sensors = simulator.config
-        return Observer(ObserverConfig(lidar=sensors.lidar, camera=sensors.camera), simulator.num_worlds)
+        # What is shown is what a policy is shown; for those who see no people it is where people truly are.
+        people_from: PeopleFrom = getattr(self._navigator, "people_from", "truth")
+        observer = ObserverConfig(lidar=sensors.lidar, camera=sensors.camera, people_from=people_from)
+        return Observer(observer, simulator.num_worlds)
 
     def _take(self, observation: Observation, frame: SensorFrame, outcome: str | None) -> None:
         assert self._stage is not None and self._simulator is not None and self._sink is not None

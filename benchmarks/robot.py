@@ -1,0 +1,203 @@
+"""The robot's loop: time from sensor messages to command, difference from torch, time and memory of a start.
+
+python benchmarks/robot.py [--json FILE] [--steps N]
+
+A recorded episode (`dense-ped`, 15 people) is turned into ROS-like messages (a scan of 720 rays, a depth image of
+640 x 480 in millimetres, odometry) and fed to the loop on one thread. The same observations go through torch, where it
+is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from importlib import resources
+from pathlib import Path
+from types import SimpleNamespace as Message
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from densecavoid.frames import CameraConfig, LidarConfig, Observation
+from densecavoid.robot.config import settings_from
+from densecavoid.robot.folder import FolderPilot, export_folder
+from densecavoid.robot.runtime import RobotRuntime
+
+_START = """
+import time
+begin, cpu = time.perf_counter(), time.process_time()
+import densecavoid.robot.runtime, densecavoid.robot.folder
+wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
+from pathlib import Path
+pilot = densecavoid.robot.folder.FolderPilot(Path({folder!r}))
+from densecavoid.robot.config import RobotSettings
+densecavoid.robot.runtime.RobotRuntime(pilot, RobotSettings(), threaded=False).warm_up()
+import sys
+ready = time.perf_counter() - begin
+# Not getrusage: its peak begins with the parent's.
+peak = [line for line in open("/proc/self/status") if line.startswith("VmHWM")][0].split()[1]
+print(wall, cpu, ready, int(peak) / 1024, "torch" in sys.modules)
+"""
+
+
+def header(time_s: float, frame: str) -> Message:
+    """Of a message made at that time."""
+    return Message(stamp=Message(sec=int(time_s), nanosec=int(time_s % 1 * 1e9)), frame_id=frame)
+
+
+def record(steps: int) -> list[dict[str, Any]]:
+    """Messages of an episode, driven by the shipped policy with its own sensors."""
+    from densecavoid.policy.navigator import load_policy
+    from densecavoid.scenarios import make_scenario
+    from densecavoid.sim.world import SimConfig, Simulator
+
+    lidar = LidarConfig(num_rays=720, fov_rad=np.radians(270.0), max_range_m=10.0)
+    camera = CameraConfig(width=640, height=480)
+    shown = Simulator(make_scenario("dense-ped"), 1, SimConfig(lidar=lidar, camera=camera, threads=1))
+    driven = Simulator(make_scenario("dense-ped"), 1, SimConfig(threads=1))
+    for simulator in (shown, driven):
+        simulator.reset(np.array([7], np.int64))
+    navigator = load_policy("densecavoid")
+    messages = []
+    for step in range(steps):
+        frame, now = shown.sense(), 100.0 + 0.1 * step
+        depth = np.nan_to_num(1000.0 * frame.depth_m[0], nan=0.0).astype("<u2")
+        x, y, yaw = (float(value) for value in frame.odom_pose[0])
+        pose = Message(
+            position=Message(x=x, y=y, z=0.0),
+            orientation=Message(x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2))),
+        )
+        linear, angular = (float(value) for value in frame.velocity[0])
+        twist = Message(linear=Message(x=linear), angular=Message(z=angular))
+        goal_x, goal_y = (float(value) for value in frame.goal_odom[0])
+        messages.append(
+            {
+                "now": now,
+                "scan": Message(
+                    header=header(now, "laser"),
+                    angle_min=-lidar.fov_rad / 2,
+                    angle_increment=lidar.fov_rad / (lidar.num_rays - 1),
+                    range_min=0.02,
+                    range_max=10.0,
+                    ranges=frame.scan_m[0].copy(),
+                ),
+                "depth": Message(
+                    header=header(now, "camera"),
+                    encoding="16UC1",
+                    width=640,
+                    height=480,
+                    step=1280,
+                    is_bigendian=0,
+                    data=depth.tobytes(),
+                ),
+                "odom": Message(
+                    header=header(now, "odom"),
+                    child_frame_id="base_footprint",
+                    pose=Message(pose=pose),
+                    twist=Message(twist=twist),
+                ),
+                "goal": Message(header=header(now, "odom"), pose=Message(position=Message(x=goal_x, y=goal_y, z=0.0))),
+            }
+        )
+        command = navigator.act(driven.sense())
+        for simulator in (shown, driven):
+            simulator.step(command)
+    return messages
+
+
+def drive(folder: Path, messages: list[dict[str, Any]]) -> tuple[np.ndarray, list[Observation], list[np.ndarray]]:
+    """Feeds the messages to the loop.
+
+    Returns:
+        times (ms) by the wall and of this thread, the observations made, and the policy's mean commands.
+    """
+    settings = settings_from({"use_tf": False, "safety": {"freeze": {"enabled": False}}}, "benchmark")
+    pilot = FolderPilot(folder)
+    runtime = RobotRuntime(pilot, settings, threaded=False)
+    runtime.warm_up()
+    times, observations, commands = [], [], []
+    for index, message in enumerate(messages):
+        now = message["now"]
+        if index == 0:
+            runtime.on_odom(message["odom"], now - 0.001, now)
+            runtime.on_goal(message["goal"], now)
+            runtime.on_odom(message["odom"], now, now)
+        begin, cpu = time.perf_counter(), time.thread_time()
+        runtime.on_odom(message["odom"], now, now)
+        runtime.on_depth(message["depth"], now, now)
+        runtime.on_scan(message["scan"], now, now)
+        step = runtime.step(now, now)
+        times.append((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))
+        observation = pilot.observation
+        if observation is not None and not step.fault:
+            observations.append(Observation(*(array.copy() for array in observation)))
+            commands.append(np.array(step.asked))
+    return np.array(times), observations, commands
+
+
+def difference_from_torch(observations: list[Observation], commands: list[np.ndarray]) -> float | None:
+    """Greatest difference of a command (m/s, rad/s) from the torch network's; None without torch."""
+    try:
+        import torch
+
+        from densecavoid.policy.export import load_safetensors
+        from densecavoid.policy.network import ObservationTensors
+    except ModuleNotFoundError:
+        return None
+    with resources.as_file(resources.files("densecavoid.policy") / "weights" / "densecavoid.safetensors") as path:
+        network, _ = load_safetensors(path)
+    worst = 0.0
+    with torch.no_grad():
+        for observation, command in zip(observations, commands, strict=True):
+            mean = network.mean(ObservationTensors(*map(torch.from_numpy, observation))).numpy()[0]
+            worst = max(worst, float(np.abs(mean - command).max()))
+    return worst
+
+
+def start_up(folder: Path) -> dict[str, float]:
+    """Import and memory of a fresh process, the least of five: others' work on the computer only adds."""
+    rows = []
+    for _ in range(5):
+        done = subprocess.run(
+            [sys.executable, "-c", _START.format(folder=str(folder))], capture_output=True, text=True, check=True
+        )
+        *numbers, torch = done.stdout.split()
+        assert torch == "False", "torch was imported"
+        rows.append([float(number) for number in numbers])
+    wall, cpu, ready, rss = np.array(rows).min(axis=0)
+    return {"import_s": wall, "import_cpu_s": cpu, "ready_s": ready, "rss_mb": rss}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--steps", type=int, default=300)
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder, _ = export_folder("densecavoid", Path(folder_name) / "exported")
+        times, observations, commands = drive(folder, record(args.steps))
+        result: dict[str, float | None] = {
+            "act_ms_p50": float(np.percentile(times[:, 0], 50)),
+            "act_ms_p99": float(np.percentile(times[:, 0], 99)),
+            # Of the thread alone: what the step costs where nobody else wants the processor.
+            "act_cpu_ms_p50": float(np.percentile(times[:, 1], 50)),
+            "act_cpu_ms_p99": float(np.percentile(times[:, 1], 99)),
+            "difference_from_torch": difference_from_torch(observations, commands),
+            **start_up(folder),
+        }
+    result["commands"] = float(len(commands))
+    for name, value in result.items():
+        print(f"{name:24} {'-' if value is None else f'{value:.6g}'}")
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

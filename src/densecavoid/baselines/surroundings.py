@@ -1,0 +1,139 @@
+"""What classical navigators know of their surroundings: people around, and what else the lidar meets.
+
+People come from the tracker that the policy uses too, through `PeopleAround` alone; or, for privileged navigators, from
+ground truth.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from densecavoid.env.observation import Observer, ObserverConfig
+from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, choose, require
+
+
+class People(NamedTuple):
+    """People in the robot's frame (x ahead, y left); slots that are not `there` hold no meaning."""
+
+    pos_r: Float[np.ndarray, "B P 2"]
+    vel_r: Float[np.ndarray, "B P 2"]
+    """Over ground, seen along the robot's axes, m/s."""
+    radius_m: Float[np.ndarray, "B P"]
+    there: Bool[np.ndarray, "B P"]
+
+
+class PeopleAround:
+    """Whom the robot knows of: `tracks` of people its sensors have shown, or everybody there is (`truth`)."""
+
+    def __init__(
+        self,
+        source: Literal["tracks", "truth"] = "tracks",
+        lidar: LidarConfig = LidarConfig(),
+        camera: CameraConfig = CameraConfig(),
+    ) -> None:
+        self.source = choose("source of people", source, ("tracks", "truth"))
+        self._config = ObserverConfig(lidar, camera)
+        self._observer = Observer(self._config, 1)
+
+    @property
+    def privileged(self) -> bool:
+        """Whether ground truth is read."""
+        return self.source == "truth" or self._observer.privileged
+
+    def reset(self, which: Bool[np.ndarray, "B"]) -> None:
+        """Forgets the marked worlds; their number sets the batch size."""
+        if len(which) != self._observer.num_worlds:
+            self._observer = Observer(self._config, len(which))
+        else:
+            self._observer.reset(which)
+
+    def see(self, frame: SensorFrame) -> People:
+        """The people of each world after one more frame.
+
+        Raises:
+            ValueError: for a frame of another number of worlds than `reset` announced, or without the truth needed.
+        """
+        if self.source == "truth":
+            require(frame.truth is not None, "truth of the frame", None, "a simulator's, for people from truth")
+            assert frame.truth is not None
+            people = frame.truth.people
+            pose = frame.truth.robot_pose_w
+            return _seen_from(pose, people.pos_w, people.vel_w, people.radius_m, people.active)
+        self._observer.observe(frame)
+        tracks = self._observer.tracks
+        return _seen_from(
+            frame.odom_pose,
+            tracks.state[..., :2],
+            tracks.state[..., 2:],
+            tracks.body[..., 0],
+            tracks.live & tracks.confirmed,
+        )
+
+
+def _seen_from(
+    pose: Float[np.ndarray, "B 3"],
+    pos: Float[np.ndarray, "B P 2"],
+    vel: Float[np.ndarray, "B P 2"],
+    radius_m: Float[np.ndarray, "B P"],
+    there: Bool[np.ndarray, "B P"],
+) -> People:
+    return People(
+        into_robot_frame(pose[:, 2], np.asarray(pos, np.float64) - pose[:, None, :2]),
+        into_robot_frame(pose[:, 2], np.asarray(vel, np.float64)),
+        np.asarray(radius_m, np.float64),
+        np.asarray(there, np.bool_),
+    )
+
+
+def into_robot_frame(yaw: Float[np.ndarray, "B"], vectors: Float[np.ndarray, "B P 2"]) -> Float[np.ndarray, "B P 2"]:
+    """Vectors of the odometry frame along the axes of robots with these headings."""
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+
+
+class ScanPoints:
+    """The nearest return in each of some sectors of the scan, as points in the robot's frame."""
+
+    def __init__(self, lidar: LidarConfig, sectors: int) -> None:
+        require(1 <= sectors <= lidar.num_rays, "sectors", sectors, f"1 to {lidar.num_rays}")
+        self._num_rays = lidar.num_rays
+        self._rays = np.stack([np.cos(lidar.angles_rad), np.sin(lidar.angles_rad)], axis=-1)
+        self._mount = np.array([lidar.mount_x_m, 0.0])
+        self._starts = np.linspace(0, lidar.num_rays, sectors, endpoint=False).astype(np.intp)
+
+    def of(
+        self, scan_m: Float[np.ndarray, "B rays"], people: People | None = None, margin_m: float = 0.15
+    ) -> Float[np.ndarray, "B S 2"]:
+        """One point a sector, NaN where there is no return.
+
+        Args:
+            scan_m: Ranges, +inf where nothing is.
+            people: Returns from them are left out: they are known already.
+            margin_m: So far from somebody's outline a return is theirs (legs step beyond it).
+
+        Raises:
+            ValueError: for another number of rays than the lidar has.
+        """
+        require(scan_m.shape[1] == self._num_rays, "rays of the scan", scan_m.shape[1], f"{self._num_rays}")
+        ranges = np.where(np.isfinite(scan_m), scan_m, 1e3).astype(np.float64)
+        points = ranges[..., None] * self._rays + self._mount
+        if people is not None:
+            for person in range(people.there.shape[1]):
+                here = people.there[:, person]
+                if here.any():
+                    offset = points - people.pos_r[:, None, person]
+                    reach = people.radius_m[:, person] + margin_m
+                    theirs = (offset**2).sum(axis=-1) < (reach**2)[:, None]
+                    ranges[theirs & here[:, None]] = 1e3
+        least = np.minimum.reduceat(ranges, self._starts, axis=1)
+        sector = np.repeat(np.arange(len(self._starts)), np.diff([*self._starts, self._num_rays]))
+        # The first ray of the sector that has its least range.
+        is_least = ranges == least[:, sector]
+        index = np.where(is_least, np.arange(self._num_rays), self._num_rays)
+        ray = np.minimum.reduceat(index, self._starts, axis=1)
+        nearest = least[..., None] * self._rays[ray] + self._mount
+        return np.where((least < 1e3)[..., None], nearest, np.nan)

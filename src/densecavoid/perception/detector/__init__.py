@@ -1,0 +1,1 @@
+"""YOLOv3: networks from Darknet configurations, their weights, decoding, and detectors for depth and colour images."""

@@ -1,0 +1,138 @@
+"""A detector's weights in their two forms: safetensors to train on, ONNX to run. Needs torch; running ONNX does not."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from pathlib import Path
+
+import onnx
+import safetensors.torch
+import torch
+from torch import Tensor, nn
+
+from densecavoid.perception.detector.card import DetectorCard
+from densecavoid.perception.detector.darknet_config import parse_config, read_config_text
+from densecavoid.perception.detector.darknet_weights import read_weights
+from densecavoid.perception.detector.network import DarknetNetwork
+
+_OPSET = 18
+_RGB_THRESHOLD, _RGB_OVERLAP = 0.25, 0.45
+# It reports operators of torchvision as missing, which no network here uses.
+logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+
+
+class _Heads(nn.Module):
+    """The network with a tuple of outputs, as the exporter wants it."""
+
+    def __init__(self, network: DarknetNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        return tuple(self.network(images))
+
+
+def save_detector(path: Path, network: DarknetNetwork, card: DetectorCard) -> None:
+    """Writes the tensors with their card as safetensors."""
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    path.write_bytes(safetensors.torch.save(tensors, card.to_metadata()))
+
+
+def load_detector(path: Path) -> tuple[DarknetNetwork, DetectorCard]:
+    """The network and card of a file that `save_detector` wrote.
+
+    Raises:
+        FileNotFoundError: if there is no file.
+        ValueError: if it is not a detector of this project, or its tensors do not fit its configuration.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no detector {path}")
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            card = DetectorCard.from_metadata(file.metadata() or {}, str(path))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except safetensors.SafetensorError as error:
+        raise ValueError(f"{path} is not a safetensors file: {error}") from error
+    network = DarknetNetwork(parse_config(card.network, str(path)))
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise ValueError(f"{path}: the tensors do not fit the network described beside them: {error}") from error
+    return network.eval(), card
+
+
+def export_onnx(path: Path, network: DarknetNetwork, card: DetectorCard) -> None:
+    """Writes one graph: `images` f32 [B, channels, height, width], any batch, to `head_0`, `head_1`, ... (raw)."""
+    size = network.config.input
+    # Two images: the exporter takes a size of one for a constant.
+    example = torch.zeros(2, size.channels, size.height, size.width)
+    with warnings.catch_warnings():
+        # The exporter warns about its own deprecated internals, which nobody here can act upon.
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            _Heads(network.cpu().eval()),
+            (example,),
+            dynamo=True,
+            opset_version=_OPSET,
+            input_names=["images"],
+            output_names=[f"head_{k}" for k in range(len(network.config.heads))],
+            dynamic_shapes=({0: torch.export.Dim("batch")},),
+            verbose=False,
+        )
+    assert program is not None
+    model = program.model_proto
+    # The exporter's traces name files of the machine that exported.
+    del model.metadata_props[:]
+    del model.graph.metadata_props[:]
+    for node in model.graph.node:
+        del node.metadata_props[:]
+        node.doc_string = ""
+    for value in (*model.graph.input, *model.graph.output, *model.graph.value_info, *model.graph.initializer):
+        del value.metadata_props[:]
+    onnx.helper.set_model_props(model, card.to_metadata())
+    onnx.checker.check_model(model)
+    path.write_bytes(model.SerializeToString(deterministic=True))
+
+
+def import_darknet(
+    weights: Path, out: Path, configuration: str | Path = "yolov3", size: tuple[int, int] | None = None
+) -> DetectorCard:
+    """Turns Darknet's weights of a network for colour images into an ONNX file that `detector.RgbDetector` runs.
+
+    Args:
+        weights: the .weights file, COCO's for example.
+        out: where the ONNX file goes.
+        configuration: which network they are of: a shipped one's name, or a .cfg file.
+        size: width and height of the network's input, multiples of its largest stride; else those of the configuration.
+
+    Raises:
+        FileNotFoundError: if a file is missing.
+        ValueError: if the weights are of another version or network.
+    """
+    text = read_config_text(configuration)
+    if size is not None:
+        text = f"{text}\n"
+        for name, value in zip(("width", "height"), size, strict=True):
+            text = _with_option(text, name, value)
+    network = DarknetNetwork(parse_config(text, str(configuration)))
+    for block, arrays in zip(network.convolutions(), read_weights(weights, network.config), strict=True):
+        block.load(arrays)
+    card = DetectorCard(
+        name=str(configuration),
+        kind="rgb",
+        network=text,
+        threshold=_RGB_THRESHOLD,
+        max_overlap=_RGB_OVERLAP,
+        training={"weights": weights.name},
+    )
+    export_onnx(out, network, card)
+    return card
+
+
+def _with_option(text: str, name: str, value: int) -> str:
+    """The text with another value where the first section, [net], sets `name`."""
+    lines = text.splitlines()
+    first = next(k for k, line in enumerate(lines) if line.split("=")[0].strip() == name)
+    lines[first] = f"{name}={value}"
+    return "\n".join(lines) + "\n"

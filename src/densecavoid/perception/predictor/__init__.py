@@ -1,0 +1,1 @@
+"""Where tracked people will be in the next seconds, and how far to trust that."""

@@ -1,0 +1,302 @@
+"""The whole loop with a policy that ships: drives, stops and recovers, and says what torch says."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace as Message
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from densecavoid.frames import SensorFrame
+from densecavoid.robot.config import RobotSettings, load_settings, read_yaml, settings_from
+from densecavoid.robot.fault_world import FaultWorld
+from densecavoid.robot.faults import ScriptedPilot
+from densecavoid.robot.folder import MANIFEST, FolderPilot, export_folder, read_manifest
+from densecavoid.robot.messages import Mount
+from densecavoid.robot.pilot import InThread
+from densecavoid.robot.runtime import RobotRuntime
+from densecavoid.robot.transforms import Pose, TransformTree
+
+DT = 0.05
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_folder("densecavoid", tmp_path_factory.mktemp("export") / "exported")[0]
+
+
+class Drive:
+    """A runtime among the fault world's sensors."""
+
+    def __init__(self, pilot: Any, settings: RobotSettings | None = None) -> None:
+        self.world = FaultWorld(np.random.default_rng(0))
+        self.runtime = RobotRuntime(pilot, settings or RobotSettings(lidar_mount=Mount()), threaded=False)
+        self.steps = 0
+
+    def run(self, seconds: float, *, sensors: bool = True, tf: bool = True) -> Any:
+        world, runtime, result = self.world, self.runtime, None
+        for _ in range(round(seconds / DT)):
+            self.steps += 1
+            times = (world.now_s, world.ros_now_s)
+            if tf:
+                runtime.on_transforms(world.transforms("map", "odom"), world.now_s, False)
+            if sensors:
+                runtime.on_odom(world.odom(), *times)
+                if self.steps % 2 == 0:
+                    runtime.on_scan(world.scan(), *times)
+                    runtime.on_depth(world.depth(), *times)
+            result = runtime.step(*times)
+            velocity = (result.command.linear_velocity, result.command.angular_velocity)
+            world.drive(velocity if result.command.publish else None, DT)
+        return result
+
+    def goal(self, x: float, frame: str = "map") -> str:
+        message = self.world.goal()
+        message.pose.position.x, message.header.frame_id = x, frame
+        return self.runtime.on_goal(message, self.world.now_s)
+
+
+def test_the_policy_drives_to_a_goal_in_the_map_and_stands_there(folder: Path) -> None:
+    drive = Drive(FolderPilot(folder))
+    assert "goal" in drive.run(1.0).message
+    assert drive.goal(2.5) == ""
+    drive.run(9.0)
+    step = drive.run(DT)
+    assert step.goal_reached and step.message == "goal reached"
+    assert math.dist(drive.world.pose[:2], (2.5, 0.0)) < 0.5
+    assert drive.world.velocity[0] < 0.05
+
+
+def test_goals_in_the_robots_frame_are_fixed_where_it_stood_and_lost_ones_stop_it() -> None:
+    drive = Drive(ScriptedPilot())
+    drive.run(0.5)
+    assert drive.goal(4.0, "base_footprint") == ""
+    drive.run(4.0)
+    assert drive.run(DT).goal_distance_m == pytest.approx(4.0 - drive.world.pose[0], abs=0.1)
+    drive.goal(100.0, "map")
+    assert drive.run(2.0).fault == ""
+    assert drive.run(0.7, tf=False).fault.startswith("goal lost: transform map -> odom is")
+    assert drive.run(0.3).fault == ""
+    drive.goal(100.0, "nowhere")
+    assert drive.run(0.3).fault == "goal lost: no transform odom -> nowhere: they are not connected"
+    assert drive.goal(math.nan).startswith("goal is (nan")
+
+
+def test_a_pilot_that_hangs_is_late_and_what_it_says_at_last_is_not_obeyed() -> None:
+    import threading
+
+    release = threading.Event()
+
+    class Slow(ScriptedPilot):
+        def act(self, frame: SensorFrame) -> tuple[float, float]:
+            release.wait(20)
+            return super().act(frame)
+
+    drive = Drive(Slow())
+    drive.runtime._worker = worker = InThread(drive.runtime.pilot)
+    drive.goal(100.0)
+    assert drive.run(2.0).fault == "no command of the policy yet"
+    release.set()
+    worker._thread.join(0.3)
+    assert drive.runtime._worker.poll() is not None
+    worker.close()
+
+
+def test_observations_give_torchs_commands(folder: Path) -> None:
+    torch = pytest.importorskip("torch")
+    from importlib import resources
+
+    from densecavoid.policy.export import load_safetensors
+    from densecavoid.policy.network import ObservationTensors
+
+    with resources.as_file(resources.files("densecavoid.policy") / "weights" / "densecavoid.safetensors") as path:
+        network, _ = load_safetensors(path)
+    pilot = FolderPilot(folder)
+    drive = Drive(pilot)
+    drive.goal(100.0)
+    drive.run(0.3)
+    for _ in range(20):
+        step = drive.run(2 * DT)
+        assert pilot.observation is not None and step.fault == ""
+        with torch.no_grad():
+            tensors = ObservationTensors(*(torch.from_numpy(array.copy()) for array in pilot.observation))
+            mean = network.mean(tensors).numpy()[0]
+        np.testing.assert_allclose(step.asked, np.clip(mean, [0.0, -0.4], [1.0, 0.4]), atol=1e-4)
+
+
+def test_what_a_robot_imports_is_neither_torch_nor_the_simulator() -> None:
+    code = (
+        "import sys, densecavoid.robot.runtime, densecavoid.robot.folder, densecavoid.robot.config;"
+        # (scipy is imported by numba where it is installed.)
+        "heavy = ('torch', 'gymnasium', 'matplotlib', 'densecavoid.sim.world', 'densecavoid.scenarios');"
+        "print([name for name in heavy if name in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+# -- transforms --------------------------------------------------------------------------------------------------------
+
+
+def matrix(pose: Pose) -> np.ndarray:
+    """In the plane and its height, as a 4 x 4 matrix: an independent way to chain."""
+    cos, sin, up = math.cos(pose.yaw), math.sin(pose.yaw), -1.0 if pose.flipped else 1.0
+    return np.array([[cos, -sin * up, 0, pose.x], [sin, cos * up, 0, pose.y], [0, 0, up, pose.z], [0, 0, 0, 1]])
+
+
+def test_transforms_chain_as_matrices_do() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        tree = TransformTree()
+        poses = []
+        for _ in range(4):
+            x, y, z, yaw = (float(value) for value in rng.uniform(-3, 3, 4))
+            poses.append(Pose(x, y, z, yaw, bool(rng.integers(2))))
+        for pose, (parent, child) in zip(poses, ("ab", "bc", "ad", "de"), strict=True):
+            tree.set(parent, f"/{child}", pose)
+        wanted = np.linalg.inv(matrix(poses[2]) @ matrix(poses[3])) @ matrix(poses[0]) @ matrix(poses[1])
+        np.testing.assert_allclose(matrix(tree.look_up("e", "c", 0.0, 1.0)), wanted, atol=1e-9)
+
+
+def test_transforms_that_are_old_or_go_round_are_refused() -> None:
+    tree = TransformTree()
+    tree.set("map", "odom", Pose(1, 0, 0, 0), 5.0, 10.0)
+    assert tree.look_up("map", "odom", 10.4, 0.5).x == 1
+    with pytest.raises(ValueError, match=r"transform map -> odom is 0\.60 s old"):
+        tree.look_up("map", "odom", 10.6, 0.5)
+    tree.set("odom", "map", Pose(0, 0, 0, 0))
+    with pytest.raises(ValueError, match="circle"):
+        tree.look_up("map", "odom", 10.0, 0.5)
+
+
+# -- files from strangers ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", ["turtlebot2", "turtlebot4"])
+def test_robots_that_ship_have_settings(robot: str) -> None:
+    assert load_settings(robot).safety.max_linear_velocity <= 0.65
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("a: !!python/object/apply:os.system [true]", "python/object"),
+        ("a: &x [1]\nb: *x", "aliases"),
+        ("- 1", "mapping"),
+        ("odom_frame: 3", "odom_frame"),
+        ("use_camera: 'no'", "use_camera"),
+        ("control_hz: 1.0e9", "control_hz"),
+        ("speed: 3", "no field 'speed'"),
+        ("safety: {zones: [{name: z, action: fly, radius_m: 1}]}", "action"),
+        ("safety: {zones: [{name: z, action: stop, radius_m: .inf}]}", "radius_m"),
+        ("[" * 5000, "nested"),
+    ],
+)
+def test_settings_that_are_wrong_are_refused_by_name(text: str, what: str) -> None:
+    with pytest.raises(ValueError, match=what):
+        settings_from(read_yaml(text, "robot.yaml"), "robot.yaml")
+
+
+def test_billions_of_laughs_are_refused_before_they_are_told() -> None:
+    text = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
+    with pytest.raises(ValueError, match="aliases"):
+        read_yaml(text, "bomb.yaml")
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.one_of(st.text(max_size=200), st.binary(max_size=200).map(lambda raw: raw.decode("latin-1"))))
+def test_any_text_is_settings_or_a_value_error(text: str) -> None:
+    with contextlib.suppress(ValueError):
+        settings_from(read_yaml(text, "fuzz"), "fuzz")
+
+
+LEAF = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8))
+KEYS = st.sampled_from(["name", "files", "observation", "policy", "bytes", "format", "sha256", "made_with"])
+INNER = st.one_of(LEAF, st.lists(LEAF, max_size=3), st.dictionaries(KEYS, LEAF, max_size=4))
+MIDDLE = st.one_of(INNER, st.dictionaries(KEYS, INNER, max_size=4))
+JSON = st.one_of(MIDDLE, st.dictionaries(KEYS, MIDDLE, max_size=6))
+
+
+@settings(max_examples=150, deadline=None)
+@given(values=JSON)
+def test_any_manifest_is_one_or_a_value_error(values: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("fuzz")
+    (folder / MANIFEST).write_text(json.dumps(values))
+    with pytest.raises(ValueError):
+        FolderPilot(folder)
+
+
+def test_folders_that_were_tampered_with_are_refused(folder: Path, tmp_path: Path) -> None:
+    def copy(name: str) -> Path:
+        return Path(shutil.copytree(folder, tmp_path / name))
+
+    changed = copy("changed")
+    content = bytearray((changed / "policy.onnx").read_bytes())
+    content[len(content) // 2] ^= 1
+    (changed / "policy.onnx").write_bytes(content)
+    with pytest.raises(ValueError, match=r"sha256 of .*policy\.onnx"):
+        FolderPilot(changed)
+    shorter = copy("shorter")
+    (shorter / "policy.onnx").write_bytes(content[:-1])
+    with pytest.raises(ValueError, match=r"size of .*policy\.onnx"):
+        FolderPilot(shorter)
+    for name in ("../policy.onnx", "/etc/passwd", "a/b", "", MANIFEST):
+        outside = copy(f"outside{abs(hash(name))}")
+        manifest = json.loads((outside / MANIFEST).read_text())
+        manifest["files"]["policy"]["name"] = name
+        (outside / MANIFEST).write_text(json.dumps(manifest))
+        with pytest.raises(ValueError, match="name of a file"):
+            read_manifest(outside)
+    linked = copy("linked")
+    (linked / "policy.onnx").unlink()
+    (linked / "policy.onnx").symlink_to(folder / "policy.onnx")
+    with pytest.raises(ValueError, match="no plain file"):
+        FolderPilot(linked)
+    truth = copy("truth")
+    manifest = json.loads((truth / MANIFEST).read_text())
+    manifest["observation"]["people_from"] = "truth"
+    (truth / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(ValueError, match="ground truth"):
+        FolderPilot(truth)
+    with pytest.raises(ValueError, match="no exported folder"):
+        FolderPilot(tmp_path)
+
+
+def test_any_bytes_as_a_network_are_refused(folder: Path, tmp_path: Path) -> None:
+    import hashlib
+
+    rng = np.random.default_rng(0)
+    good = (folder / "policy.onnx").read_bytes()
+    for index in range(20):
+        bad = bytearray(good[: int(rng.integers(1, len(good)))] if index % 2 else rng.bytes(500))
+        where = Path(shutil.copytree(folder, tmp_path / str(index)))
+        (where / "policy.onnx").write_bytes(bad)
+        manifest = json.loads((where / MANIFEST).read_text())
+        manifest["files"]["policy"] |= {"bytes": len(bad), "sha256": hashlib.sha256(bad).hexdigest()}
+        (where / MANIFEST).write_text(json.dumps(manifest))
+        with pytest.raises(ValueError):
+            FolderPilot(where)
+
+
+def test_half_dead_scanners_and_covered_cameras_are_named() -> None:
+    drive = Drive(ScriptedPilot())
+    drive.goal(100.0)
+    drive.run(1.0)
+    scan, depth = drive.world.scan(), drive.world.depth()
+    scan.ranges[30:110] = np.nan
+    times = (drive.world.now_s, drive.world.ros_now_s)
+    assert "blind over 4" in drive.runtime.on_scan(scan, *times)
+    scan.ranges[:] = np.nan
+    assert "sees 0% of what is straight ahead" in drive.runtime.on_scan(scan, *times)
+    depth.data = bytes(len(depth.data))
+    assert "covered?" in drive.runtime.on_depth(depth, *times)
+    assert "attribute" in drive.runtime.on_odom(Message(), *times)
