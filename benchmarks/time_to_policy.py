@@ -218,7 +218,7 @@ def learner_of_stable_baselines3(config: TrainConfig) -> Callable[[int], tuple[i
         kept["minutes"] += (time.monotonic() - start) / 60
         ppo.save(saved)
         notes.write_text(json.dumps(kept | {"curriculum": curriculum.state_dict()}) + "\n", encoding="utf-8")
-        return ppo.num_timesteps, kept["minutes"], PolicyNavigator(Policy())  # type: ignore[arg-type]
+        return ppo.num_timesteps, kept["minutes"], PolicyNavigator(Policy())
 
     return learn
 

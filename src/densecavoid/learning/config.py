@@ -24,8 +24,8 @@ from densecavoid.sim.world import SimConfig
 class TrainConfig:
     """Settings of `densecavoid train`.
 
-    A run is a folder. Ctrl-C saves it; `densecavoid train --resume --run-dir FOLDER` goes on. Several processes train one
-    policy with `torchrun --nproc_per_node N -m densecavoid.cli train ...`. More: docs/training.md.
+    A run is a folder. Ctrl-C saves it; `densecavoid train --resume --run-dir FOLDER` goes on. Several processes train
+    one policy with `torchrun --nproc_per_node N -m densecavoid.cli train ...`. More: docs/training.md.
     """
 
     run_dir: Path = Path("runs/densecavoid")

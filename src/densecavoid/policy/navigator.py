@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
@@ -14,9 +14,21 @@ from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import Command, Observation, SensorFrame
 from densecavoid.perception.config import PeopleFrom
 from densecavoid.perception.tracks import Tracks
+from densecavoid.policy.card import PolicyCard
 from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.runtime import OnnxPolicy
 from densecavoid.policy.sensors import mask_observation
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """What acts: an `OnnxPolicy`, or another trainer's network beside a card."""
+
+    card: PolicyCard
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """Mean command (v m/s, w rad/s) for each row, [B, 2]."""
+        ...
 
 
 class PolicyNavigator:
@@ -24,7 +36,7 @@ class PolicyNavigator:
 
     def __init__(
         self,
-        policy: OnnxPolicy,
+        policy: Policy,
         *,
         people_from: PeopleFrom = "detector",
         sample: bool = False,
