@@ -220,8 +220,9 @@ def test_the_truth_about_people_is_that_of_the_simulator_in_the_robots_frame() -
         people = simulator.people()
         expected = []
         for i in np.flatnonzero(people.active[b]):
-            ahead, moved = complex(*people.pos_w[b, i]) - complex(x, y), complex(*people.vel_w[b, i])
-            turned = [vector * np.exp(-1j * yaw) for vector in (ahead, moved)]
+            (px, py), (vx, vy) = people.pos_w[b, i], people.vel_w[b, i]
+            ahead, moved = complex(px - x, py - y), complex(vx, vy)
+            turned = [vector * complex(np.exp(-1j * yaw)) for vector in (ahead, moved)]
             numbers = [part for vector in turned for part in (vector.real, vector.imag)]
             expected.append([abs(ahead), *numbers, people.radius_m[b, i], 1.0])
         nearest = np.array(sorted(expected)[:4])[:, 1:]
