@@ -212,7 +212,7 @@ def test_the_truth_about_people_is_that_of_the_simulator_in_the_robots_frame() -
     env = DenseCAvoidVectorEnv("random-sparse-ped", 3, seed=4, true_people=4)
     observation, _ = env.reset(seed=4)
     for _ in range(3):
-        observation, *_ = env.step(np.tile(np.float32([0.5, 0.2]), (3, 1)))
+        observation, *_ = env.step(np.tile(np.array([0.5, 0.2], np.float32), (3, 1)))
     assert env.single_observation_space["people"].shape == (4, 6)  # type: ignore[index]
     simulator = env.task.simulator
     for b in range(3):
