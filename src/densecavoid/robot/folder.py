@@ -27,7 +27,7 @@ from densecavoid.perception.legs import LegDetector
 from densecavoid.perception.tracker import Sighting, Tracker
 from densecavoid.perception.visibility import lidar_view
 from densecavoid.policy.config_json import from_dict
-from densecavoid.policy.navigator import PolicyNavigator
+from densecavoid.policy.navigator import PolicyNavigator, read_observer_config
 from densecavoid.policy.runtime import OnnxPolicy, read_policy_file
 from densecavoid.safety import NOBODY, PeopleNear
 
@@ -94,11 +94,9 @@ def export_folder(policy: str | Path, out: Path, others: Mapping[str, Path] | No
     """
     content = {"policy": read_policy_file(policy)}
     loaded = OnnxPolicy(policy)
-    notes = []
-    observation = from_dict(ObserverConfig, loaded.card.observation)
-    if observation.people_from == "truth":
-        observation = dataclasses.replace(observation, people_from="nothing")
-        notes.append("the policy was trained with people's true places; on a robot its prediction frame stays empty")
+    # On a robot nobody knows people's true places, whatever the training had.
+    observation = read_observer_config(loaded.card.observation, "detector")
+    notes = ["people are found and foreseen by the networks that come with the package, not by files of this folder"]
     content |= {role: path.read_bytes() for role, path in (others or {}).items()}
     out.mkdir(parents=True, exist_ok=True)
     files = {}
@@ -181,8 +179,6 @@ class FolderPilot:
             self._tracker = Tracker(1, threads=1)
             importlib.import_module("scipy.optimize")  # now, and not when the tracker first needs it
         self.name = manifest.name
-        if self._navigator.privileged:
-            raise ValueError(f"{folder}: the policy needs ground truth, which a robot does not have")
 
     @property
     def lidar(self) -> LidarConfig:
