@@ -16,7 +16,7 @@ import onnx  # noqa: E402
 from densecavoid.frames import Observation  # noqa: E402
 from densecavoid.policy.export import describe, export_onnx, load_safetensors, save_safetensors  # noqa: E402
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors  # noqa: E402
-from densecavoid.policy.runtime import OnnxPolicy, shipped_policies  # noqa: E402
+from densecavoid.policy.runtime import POLICIES, OnnxPolicy  # noqa: E402
 
 
 def random_observation(batch: int) -> Observation:
@@ -127,13 +127,13 @@ def test_weights_that_do_not_fit_their_description_are_refused(tmp_path: Path) -
         load_safetensors(tmp_path / "p.safetensors")
 
 
-@pytest.mark.parametrize("name", shipped_policies())
+@pytest.mark.parametrize("name", POLICIES.names())
 def test_each_shipped_policy_loads_by_name_and_drives_within_limits(name: str) -> None:
     mean = OnnxPolicy(name)(random_observation(3))
     assert np.all((mean[:, 0] >= 0) & (mean[:, 0] <= 1.0)) and np.all(np.abs(mean[:, 1]) <= 0.4)
 
 
-@pytest.mark.parametrize("name", shipped_policies())
+@pytest.mark.parametrize("name", POLICIES.names())
 def test_each_shipped_policy_is_the_same_in_both_its_forms(name: str) -> None:
     from importlib import resources
 

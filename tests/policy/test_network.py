@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from densecavoid.policy.config_json import from_json, to_json  # noqa: E402
+from densecavoid.networks.config_json import from_json, to_json  # noqa: E402
 from densecavoid.policy.network import (  # noqa: E402
     PRESETS,
     ActorCritic,

@@ -15,7 +15,7 @@ from typing import Any
 
 from densecavoid.learning.checkpoint import write_atomically
 from densecavoid.learning.config import TrainConfig
-from densecavoid.policy.config_json import from_dict, to_json
+from densecavoid.networks.config_json import from_dict, to_json
 
 _PACKAGES = ("densecavoid", "torch", "numpy", "numba", "gymnasium", "onnx", "onnxruntime", "safetensors")
 BUDGET = ("run_dir", "total_steps", "max_minutes", "threads", "checkpoint_every")

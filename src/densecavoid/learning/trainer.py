@@ -22,7 +22,7 @@ from densecavoid.learning.peers import Peers
 from densecavoid.learning.rollout import Rollout
 from densecavoid.learning.variety import vary_places
 from densecavoid.learning.worlds import make_training_envs
-from densecavoid.policy.config_json import to_json
+from densecavoid.networks.config_json import to_json
 from densecavoid.policy.export import load_safetensors
 from densecavoid.policy.network import ActorCritic
 from densecavoid.sim.spec import Scenario

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from densecavoid.frames import choose, require
-from densecavoid.policy.config_json import from_json, to_json
+from densecavoid.networks.config_json import from_json, to_json
 from densecavoid.policy.sensors import SENSORS
 
 METADATA_KEY = "densecavoid.policy"

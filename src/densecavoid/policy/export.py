@@ -6,24 +6,16 @@ import copy
 import dataclasses
 import hashlib
 import json
-import logging
-import warnings
 from pathlib import Path
 from typing import Any
 
-import onnx
-import safetensors
-import safetensors.torch
 import torch
 from torch import Tensor, nn
 
+from densecavoid.networks.config_json import from_dict
+from densecavoid.networks.torch_files import fill, read_tensors, save_tensors, to_onnx, write_onnx
 from densecavoid.policy.card import PolicyCard
-from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors
-
-_OPSET = 18
-# It reports operators of torchvision as missing, which no network here uses.
-logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
 
 
 def describe(
@@ -65,8 +57,7 @@ def weights_sha256(network: nn.Module) -> str:
 
 def save_safetensors(path: Path, network: ActorCritic, card: PolicyCard) -> None:
     """Writes all weights, the critic's too, with the card."""
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    safetensors.torch.save_file(tensors, path, card.to_metadata())
+    save_tensors(path, network, card.to_metadata())
 
 
 def load_safetensors(path: Path) -> tuple[ActorCritic, PolicyCard]:
@@ -76,19 +67,10 @@ def load_safetensors(path: Path) -> tuple[ActorCritic, PolicyCard]:
         FileNotFoundError: if there is no such file.
         ValueError: if it is not such a file, or its tensors do not fit its own configuration.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"there is no weights file {path}")
-    try:
-        with safetensors.safe_open(path, framework="pt") as file:
-            card = PolicyCard.from_metadata(file.metadata() or {}, str(path))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except safetensors.SafetensorError as error:
-        raise ValueError(f"{path} is not a safetensors file: {error}") from error
+    tensors, metadata = read_tensors(path)
+    card = PolicyCard.from_metadata(metadata, str(path))
     network = ActorCritic(from_dict(NetworkConfig, card.network))
-    try:
-        network.load_state_dict(tensors)
-    except RuntimeError as error:
-        raise ValueError(f"{path}: the tensors do not fit the network described beside them: {error}") from error
+    fill(network, tensors, path)
     return network, card
 
 
@@ -111,35 +93,8 @@ def export_onnx(path: Path, network: ActorCritic, card: PolicyCard) -> None:
     module = _Mean(copy.deepcopy(network).cpu().eval())
     module.network.set_compute_dtype(torch.float32)
     module.network.set_patch_products(False)
-    # Two rows: the exporter takes a size of one for a constant.
-    example = _example_observation(network.config, batch=2)
-    batch = torch.export.Dim("batch")
-    with warnings.catch_warnings():
-        # The exporter warns about its own deprecated internals, which nobody here can act upon.
-        warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            module,
-            tuple(example),
-            dynamo=True,
-            opset_version=_OPSET,
-            input_names=list(ObservationTensors._fields),
-            output_names=["mean"],
-            dynamic_shapes=tuple({0: batch} for _ in example),
-            verbose=False,
-        )
-    assert program is not None
-    model = program.model_proto
-    del model.metadata_props[:]
-    for node in model.graph.node:
-        # The exporter's traces name files of the machine that exported.
-        del node.metadata_props[:]
-        node.doc_string = ""
-    for value in (*model.graph.input, *model.graph.output, *model.graph.value_info, *model.graph.initializer):
-        del value.metadata_props[:]
-    del model.graph.metadata_props[:]
-    onnx.helper.set_model_props(model, card.to_metadata())
-    onnx.checker.check_model(model)
-    path.write_bytes(model.SerializeToString(deterministic=True))
+    example = tuple(_example_observation(network.config, batch=2))
+    write_onnx(path, to_onnx(module, example, ObservationTensors._fields, ["mean"]), card.to_metadata())
 
 
 def _example_observation(config: NetworkConfig, batch: int) -> ObservationTensors:

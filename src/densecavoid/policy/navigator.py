@@ -12,10 +12,10 @@ from jaxtyping import Bool
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import Command, Observation, SensorFrame
+from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.config import PeopleFrom
 from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.card import PolicyCard
-from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.runtime import OnnxPolicy
 from densecavoid.policy.sensors import mask_observation
 

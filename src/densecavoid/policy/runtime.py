@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 from jaxtyping import Float32
 
 from densecavoid.frames import Observation
+from densecavoid.networks.onnx_files import Shelf, open_session
 from densecavoid.policy.card import PolicyCard
 
 _TYPES = {
@@ -22,27 +21,8 @@ _TYPES = {
 }
 
 
-def shipped_policies() -> tuple[str, ...]:
-    """Names of the policies that come with the package."""
-    folder = resources.files("densecavoid.policy") / "weights"
-    if not folder.is_dir():
-        return ()
-    return tuple(sorted(entry.name.removesuffix(".onnx") for entry in folder.iterdir() if entry.name.endswith(".onnx")))
-
-
-def read_policy_file(name_or_path: str | Path) -> bytes:
-    """The bytes of an ONNX file: a shipped policy's name, or a path.
-
-    Raises:
-        FileNotFoundError: if it is neither, saying which are shipped.
-    """
-    path = Path(name_or_path)
-    if path.is_file():
-        return path.read_bytes()
-    if str(name_or_path) in shipped_policies():
-        return (resources.files("densecavoid.policy") / "weights" / f"{name_or_path}.onnx").read_bytes()
-    shipped = ", ".join(shipped_policies()) or "none"
-    raise FileNotFoundError(f"no policy {str(name_or_path)!r}: not a file, and not one of those shipped ({shipped})")
+POLICIES = Shelf("policy", "densecavoid.policy")
+"""Those that come with the package."""
 
 
 class OnnxPolicy:
@@ -59,20 +39,10 @@ class OnnxPolicy:
             FileNotFoundError: if there is no such policy.
             ValueError: if the file is not a policy of this project.
         """
-        content = read_policy_file(name_or_path)
+        content = POLICIES.read(name_or_path)
         self.sha256 = hashlib.sha256(content).hexdigest()
         """Hash of the file, for result tables."""
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        # A robot's other processes need the core between two control steps.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        except Exception as error:
-            # ONNX Runtime's own exceptions have no common base but Exception.
-            raise ValueError(f"{name_or_path} is not an ONNX file that ONNX Runtime can load: {error}") from error
+        self._session = open_session(content, name_or_path, threads)
         self.card = PolicyCard.from_metadata(
             self._session.get_modelmeta().custom_metadata_map, f"the file of policy {str(name_or_path)!r}"
         )

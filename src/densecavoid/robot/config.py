@@ -12,7 +12,7 @@ from typing import Any, Literal
 import yaml
 
 from densecavoid.frames import choose, require
-from densecavoid.policy.config_json import from_dict
+from densecavoid.networks.config_json import from_dict
 from densecavoid.robot.messages import Mount
 from densecavoid.safety.config import SafetyConfig
 

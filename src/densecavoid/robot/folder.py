@@ -23,12 +23,12 @@ import numpy as np
 
 from densecavoid.env.observation import ObserverConfig
 from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, require
+from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.legs import LegDetector
 from densecavoid.perception.tracker import Sighting, Tracker
 from densecavoid.perception.visibility import lidar_view
-from densecavoid.policy.config_json import from_dict
 from densecavoid.policy.navigator import PolicyNavigator, read_observer_config
-from densecavoid.policy.runtime import OnnxPolicy, read_policy_file
+from densecavoid.policy.runtime import POLICIES, OnnxPolicy
 from densecavoid.safety import NOBODY, PeopleNear
 
 FORMAT = 1
@@ -92,7 +92,7 @@ def export_folder(policy: str | Path, out: Path, others: Mapping[str, Path] | No
     Returns:
         the folder, and what a robot should know (lines of text).
     """
-    content = {"policy": read_policy_file(policy)}
+    content = {"policy": POLICIES.read(policy)}
     loaded = OnnxPolicy(policy)
     # On a robot nobody knows people's true places, whatever the training had.
     observation = read_observer_config(loaded.card.observation, "detector")

@@ -11,13 +11,7 @@ from standing import view_of
 
 from densecavoid.frames import CameraConfig
 from densecavoid.perception.detector.card import DetectorCard
-from densecavoid.perception.detector.detector import (
-    DepthDetector,
-    RgbDetector,
-    letterbox,
-    read_detector_file,
-    shipped_detectors,
-)
+from densecavoid.perception.detector.detector import DETECTORS, DepthDetector, RgbDetector, letterbox
 from densecavoid.perception.detector.encoding import encode_images
 from densecavoid.perception.detector.views import ViewsConfig, take_views
 from densecavoid.perception.detector.worlds import held_out_rooms, held_out_worlds
@@ -106,7 +100,7 @@ def test_onnx_and_torch_give_the_same_heads(detector):
     images = encode_images(
         *(lambda v: (v.depth_m, v.mount))(take_views(held_out_worlds(), 6, 1, ViewsConfig())), CameraConfig()
     )
-    session = onnxruntime.InferenceSession(read_detector_file("depth-yolo"), providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(DETECTORS.read("depth-yolo"), providers=["CPUExecutionProvider"])
     with torch.no_grad():
         expected = [head.numpy() for head in network(torch.from_numpy(images))]
     for a, b in zip(session.run(None, {"images": images}), expected, strict=True):
@@ -114,7 +108,7 @@ def test_onnx_and_torch_give_the_same_heads(detector):
 
 
 def test_the_shipped_card_is_the_one_beside_it(detector):
-    assert shipped_detectors() == ("depth-yolo",)
+    assert DETECTORS.names() == ("depth-yolo",)
     text = (WEIGHTS / "depth-yolo.json").read_text()
     assert DetectorCard.from_metadata({"densecavoid.detector": text}, "depth-yolo.json") == detector.card
     assert (WEIGHTS / "depth-yolo.onnx").stat().st_size < 1_000_000

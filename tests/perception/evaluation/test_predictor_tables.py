@@ -20,7 +20,7 @@ from densecavoid.perception.evaluation.predictor import (
 from densecavoid.perception.evaluation.predictor_picture import draw_prediction_sheet
 from densecavoid.perception.predictor.constant_velocity import ConstantVelocity
 from densecavoid.perception.predictor.contract import Histories, Prediction
-from densecavoid.perception.predictor.learned import shipped_predictors
+from densecavoid.perception.predictor.learned import LEARNED
 from densecavoid.perception.predictor.windows import Windows, cut
 
 
@@ -73,7 +73,7 @@ def test_timing_tells_both_forms() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("predictor-compact-robot" not in shipped_predictors(), reason="no weights are shipped")
+@pytest.mark.skipif("predictor-compact-robot" not in LEARNED.names(), reason="no weights are shipped")
 def test_shipped_weights_beat_what_learns_nothing_on_runs_they_have_not_seen(data_dir: Path, tmp_path: Path) -> None:
     results = evaluate_predictors(data_dir)
     for people in ("hermes", "tracked"):

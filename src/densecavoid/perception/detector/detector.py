@@ -5,15 +5,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 from jaxtyping import Float, Float32, UInt8
 from PIL import Image
 
 from densecavoid.frames import CameraConfig, require
+from densecavoid.networks.onnx_files import Shelf, open_session
 from densecavoid.perception.detections import Detections
 from densecavoid.perception.detector.card import DetectorCard
 from densecavoid.perception.detector.darknet_config import parse_config
@@ -27,30 +26,8 @@ _GREY = 127
 _FOCAL_TOLERANCE = 0.02
 
 
-def shipped_detectors() -> tuple[str, ...]:
-    """Names of the detectors that come with the package."""
-    folder = resources.files("densecavoid.perception") / "weights"
-    if not folder.is_dir():
-        return ()
-    names = [
-        entry.name for entry in folder.iterdir() if entry.name.startswith("depth-") and entry.name.endswith(".onnx")
-    ]
-    return tuple(sorted(name.removesuffix(".onnx") for name in names))
-
-
-def read_detector_file(name_or_path: str | Path) -> bytes:
-    """The bytes of an ONNX file: a shipped detector's name, or a path.
-
-    Raises:
-        FileNotFoundError: if it is neither, saying which are shipped.
-    """
-    path = Path(name_or_path)
-    if path.is_file():
-        return path.read_bytes()
-    if str(name_or_path) in shipped_detectors():
-        return (resources.files("densecavoid.perception") / "weights" / f"{name_or_path}.onnx").read_bytes()
-    shipped = ", ".join(shipped_detectors()) or "none"
-    raise FileNotFoundError(f"no detector {str(name_or_path)!r}: not a file, and not one of those shipped ({shipped})")
+DETECTORS = Shelf("detector", "densecavoid.perception", "depth-")
+"""Those that come with the package."""
 
 
 class OnnxDetector:
@@ -63,20 +40,10 @@ class OnnxDetector:
             FileNotFoundError: if there is no such detector.
             ValueError: if the file is no detector of that kind.
         """
-        content = read_detector_file(name_or_path)
+        content = DETECTORS.read(name_or_path)
         self.sha256 = hashlib.sha256(content).hexdigest()
         """Hash of the file, for result tables."""
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        # A robot's other processes need the core between two images.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        except Exception as error:
-            # ONNX Runtime's own exceptions have no common base but Exception.
-            raise ValueError(f"{name_or_path} is not an ONNX file that ONNX Runtime can load: {error}") from error
+        self._session = open_session(content, name_or_path, threads)
         self.card = DetectorCard.from_metadata(
             self._session.get_modelmeta().custom_metadata_map, f"the file of detector {str(name_or_path)!r}"
         )

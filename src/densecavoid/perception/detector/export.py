@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import logging
-import warnings
 from pathlib import Path
 
-import onnx
-import safetensors.torch
 import torch
 from torch import Tensor, nn
 
+from densecavoid.networks.torch_files import fill, read_tensors, save_tensors, to_onnx, write_onnx
 from densecavoid.perception.detector.card import DetectorCard
 from densecavoid.perception.detector.darknet_config import parse_config, read_config_text
 from densecavoid.perception.detector.darknet_weights import read_weights
 from densecavoid.perception.detector.network import DarknetNetwork
 
-_OPSET = 18
 _RGB_THRESHOLD, _RGB_OVERLAP = 0.25, 0.45
-# It reports operators of torchvision as missing, which no network here uses.
-logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
 
 
 class _Heads(nn.Module):
@@ -35,8 +29,7 @@ class _Heads(nn.Module):
 
 def save_detector(path: Path, network: DarknetNetwork, card: DetectorCard) -> None:
     """Writes the tensors with their card as safetensors."""
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    path.write_bytes(safetensors.torch.save(tensors, card.to_metadata()))
+    save_tensors(path, network, card.to_metadata())
 
 
 def load_detector(path: Path) -> tuple[DarknetNetwork, DetectorCard]:
@@ -46,53 +39,19 @@ def load_detector(path: Path) -> tuple[DarknetNetwork, DetectorCard]:
         FileNotFoundError: if there is no file.
         ValueError: if it is not a detector of this project, or its tensors do not fit its configuration.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no detector {path}")
-    try:
-        with safetensors.safe_open(path, framework="pt") as file:
-            card = DetectorCard.from_metadata(file.metadata() or {}, str(path))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except safetensors.SafetensorError as error:
-        raise ValueError(f"{path} is not a safetensors file: {error}") from error
+    tensors, metadata = read_tensors(path)
+    card = DetectorCard.from_metadata(metadata, str(path))
     network = DarknetNetwork(parse_config(card.network, str(path)))
-    try:
-        network.load_state_dict(tensors)
-    except RuntimeError as error:
-        raise ValueError(f"{path}: the tensors do not fit the network described beside them: {error}") from error
+    fill(network, tensors, path)
     return network.eval(), card
 
 
 def export_onnx(path: Path, network: DarknetNetwork, card: DetectorCard) -> None:
     """Writes one graph: `images` f32 [B, channels, height, width], any batch, to `head_0`, `head_1`, ... (raw)."""
     size = network.config.input
-    # Two images: the exporter takes a size of one for a constant.
     example = torch.zeros(2, size.channels, size.height, size.width)
-    with warnings.catch_warnings():
-        # The exporter warns about its own deprecated internals, which nobody here can act upon.
-        warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            _Heads(network.cpu().eval()),
-            (example,),
-            dynamo=True,
-            opset_version=_OPSET,
-            input_names=["images"],
-            output_names=[f"head_{k}" for k in range(len(network.config.heads))],
-            dynamic_shapes=({0: torch.export.Dim("batch")},),
-            verbose=False,
-        )
-    assert program is not None
-    model = program.model_proto
-    # The exporter's traces name files of the machine that exported.
-    del model.metadata_props[:]
-    del model.graph.metadata_props[:]
-    for node in model.graph.node:
-        del node.metadata_props[:]
-        node.doc_string = ""
-    for value in (*model.graph.input, *model.graph.output, *model.graph.value_info, *model.graph.initializer):
-        del value.metadata_props[:]
-    onnx.helper.set_model_props(model, card.to_metadata())
-    onnx.checker.check_model(model)
-    path.write_bytes(model.SerializeToString(deterministic=True))
+    heads = [f"head_{k}" for k in range(len(network.config.heads))]
+    write_onnx(path, to_onnx(_Heads(network.cpu().eval()), (example,), ["images"], heads), card.to_metadata())
 
 
 def import_darknet(

@@ -28,7 +28,7 @@ from densecavoid.perception.predictor.contract import (
     Predictor,
 )
 from densecavoid.perception.predictor.kalman import KalmanPredictor
-from densecavoid.perception.predictor.learned import LearnedPredictor, every, shipped_predictors
+from densecavoid.perception.predictor.learned import LEARNED, LearnedPredictor, every
 from densecavoid.perception.predictor.registry import PREDICTORS, make_predictor
 from densecavoid.perception.predictor.track_noise import TrackNoise, as_tracked
 from densecavoid.perception.predictor.windows import HERMES_TEST, SCENES, Windows, eth_ucy_test, hermes, join
@@ -55,7 +55,7 @@ def robot_predictors() -> dict[str, Predictor]:
     """Those of the registry whose weights are there, and the strongest settings of the two that learn nothing."""
     found: dict[str, Predictor] = {}
     for name in PREDICTORS:
-        if name in ("constant-velocity", "kalman") or f"predictor-{name}-robot" in shipped_predictors():
+        if name in ("constant-velocity", "kalman") or f"predictor-{name}-robot" in LEARNED.names():
             found[name] = make_predictor(name)
     found["constant-velocity over 1 s"] = ConstantVelocity(over_s=1.0)
     found["kalman (.4 s)"] = Thinned(KalmanPredictor())
@@ -216,7 +216,7 @@ def _fold(kind: str, scene: str, folds: Path | None) -> str | Path | None:
     if folds is not None:
         path = folds / f"{name}.onnx"
         return path if path.is_file() else None
-    return name if name in shipped_predictors() else None
+    return name if name in LEARNED.names() else None
 
 
 def _between(density: Float[np.ndarray, "N"], low: float, high: float) -> Bool[np.ndarray, "N"]:

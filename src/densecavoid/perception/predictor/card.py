@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from densecavoid.frames import choose, require
-from densecavoid.policy.config_json import from_json, to_json
+from densecavoid.networks.config_json import from_json, to_json
 
 METADATA_KEY = "densecavoid.predictor"
 CARD_FORMAT = 1

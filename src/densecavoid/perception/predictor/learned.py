@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 from jaxtyping import Float, Float32
 
 from densecavoid.frames import require
+from densecavoid.networks.onnx_files import Shelf, open_session
 from densecavoid.perception.predictor.card import PredictorCard
 from densecavoid.perception.predictor.contract import Histories, Prediction, check_horizons
 from densecavoid.perception.predictor.features import compute_features
@@ -19,32 +18,8 @@ from densecavoid.perception.predictor.grids import compute_grids
 from densecavoid.perception.predictor.kalman import KalmanPredictor
 from densecavoid.sim._jit import kernel
 
-_WEIGHTS = "densecavoid.perception"
-
-
-def shipped_predictors() -> tuple[str, ...]:
-    """Names of the learned predictors that come with the package."""
-    folder = resources.files(_WEIGHTS) / "weights"
-    if not folder.is_dir():
-        return ()
-    names = (entry.name for entry in folder.iterdir())
-    return tuple(
-        sorted(name.removesuffix(".onnx") for name in names if name.startswith("predictor-") and name[-5:] == ".onnx")
-    )
-
-
-def read_predictor_file(name_or_path: str | Path) -> bytes:
-    """The bytes of an ONNX file: a shipped predictor's name, or a path.
-
-    Raises:
-        FileNotFoundError: if it is neither, saying which are shipped.
-    """
-    if Path(name_or_path).is_file():
-        return Path(name_or_path).read_bytes()
-    if str(name_or_path) in shipped_predictors():
-        return (resources.files(_WEIGHTS) / "weights" / f"{name_or_path}.onnx").read_bytes()
-    shipped = ", ".join(shipped_predictors()) or "none"
-    raise FileNotFoundError(f"no predictor {str(name_or_path)!r}: not a file, and not one of those shipped ({shipped})")
+LEARNED = Shelf("predictor", "densecavoid.perception", "predictor-")
+"""The learned ones that come with the package."""
 
 
 def network_inputs(
@@ -153,19 +128,10 @@ class LearnedPredictor:
             FileNotFoundError: if there is no such predictor.
             ValueError: if the file is not a predictor of this project.
         """
-        content = read_predictor_file(name_or_path)
+        content = LEARNED.read(name_or_path)
         self.sha256 = hashlib.sha256(content).hexdigest()
         """Hash of the file, for result tables."""
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        except Exception as error:
-            # ONNX Runtime's own exceptions have no common base but Exception.
-            raise ValueError(f"{name_or_path} is not an ONNX file that ONNX Runtime can load: {error}") from error
+        self._session = open_session(content, name_or_path, threads)
         self.card = PredictorCard.from_metadata(
             self._session.get_modelmeta().custom_metadata_map, f"the file of predictor {str(name_or_path)!r}"
         )
