@@ -169,11 +169,11 @@ def test_a_wrong_setting_is_named(change, name):
 @pytest.mark.slow
 def test_the_command_writes_a_detector_with_its_card_and_learns(tmp_path, capsys):
     out = tmp_path / "run"
-    options = ["--images", "400", "--check-images", "60", "--passes", "6", "--batch", "16", "--seed", "3"]
+    options = ["--images", "800", "--check-images", "60", "--passes", "12", "--batch", "16", "--seed", "3"]
     assert main(["perceive", "train-detector", "--out", str(out), *options]) == 0
     capsys.readouterr()
     card = json.loads((out / "detector.json").read_text())
     assert card["training"]["command"].startswith("densecavoid perceive train-detector --seed 3")
-    assert card["training"]["settings"]["images"] == 400
+    assert card["training"]["settings"]["images"] == 800
     assert card["training"]["check_ap50"] > 0.3
     assert Path(out / "detector.onnx").stat().st_size < 1_000_000 and (out / "detector.safetensors").exists()
