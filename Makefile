@@ -4,7 +4,7 @@
 PYTHON ?= python3
 SCENARIO ?= dense-ped
 NAVIGATOR ?= densecavoid
-SEED ?= 7
+SEED ?= 3
 OUT ?= runs/demo
 PYTEST_ARGS ?=
 EPISODES ?= 500
