@@ -138,7 +138,7 @@ def _train_legs(args: Sequence[str]) -> None:
 def _train_predictor(args: Sequence[str]) -> None:
     """train what foresees where people will be; a run that was cut off goes on"""
     try:
-        from densecavoid.perception.predictor.training import TrainPredictorConfig, train_predictor
+        from densecavoid.learning.train_predictor import TrainPredictorConfig, train_predictor
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
     print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))

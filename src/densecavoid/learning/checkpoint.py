@@ -85,6 +85,11 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     return state
 
 
+def as_tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Arrays of a checkpoint as tensors of their own."""
+    return {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
+
+
 def _flatten(prefix: str, node: Mapping[str, Any], arrays: dict[str, np.ndarray], plain: dict[str, Any]) -> None:
     for name, value in node.items():
         if not isinstance(name, str) or _SEPARATOR in name:

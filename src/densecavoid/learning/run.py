@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from densecavoid.learning.checkpoint import load_checkpoint, save_checkpoint
+from densecavoid.learning.checkpoint import as_tensors, load_checkpoint, save_checkpoint
 from densecavoid.learning.config import TrainConfig
 from densecavoid.learning.peers import PeerLostError, Peers, join_peers
 from densecavoid.learning.progress import Display, MetricsLog, Progress
 from densecavoid.learning.run_folder import RunFolder, config_summary
 from densecavoid.learning.stopping import stop_on_signals
-from densecavoid.learning.trainer import MakeEnvs, Trainer, as_tensors
+from densecavoid.learning.trainer import MakeEnvs, Trainer
 from densecavoid.learning.worlds import make_training_envs, observer_json
 from densecavoid.policy.export import describe, export_onnx, save_safetensors
 from densecavoid.policy.network import ActorCritic

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from densecavoid.frames import CameraConfig, require
-from densecavoid.learning.checkpoint import load_checkpoint, save_checkpoint
+from densecavoid.learning.checkpoint import as_tensors, load_checkpoint, save_checkpoint
 from densecavoid.learning.detector_loss import YoloLoss
 from densecavoid.learning.finish_detector import write_detector
 from densecavoid.perception.detector.card import DetectorCard
@@ -277,8 +277,7 @@ def _resume(path: Path, settings: dict[str, str], network: DarknetNetwork, optim
     for name, value in settings.items():
         was = saved["settings"].get(name)
         require(was == value, f"{name} of {path}", was, f"{value}; else remove the file")
-    network.load_state_dict({name: torch.from_numpy(np.array(array)) for name, array in saved["network"].items()})
+    network.load_state_dict(as_tensors(saved["network"]))
     for k, parameter in enumerate(network.parameters()):
-        arrays = saved["moments"].get(str(k), {})
-        optimizer.state[parameter] = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
+        optimizer.state[parameter] = as_tensors(saved["moments"].get(str(k), {}))
     return int(saved["step"])

@@ -13,6 +13,7 @@ import torch
 
 from densecavoid.frames import require
 from densecavoid.learning import ppo
+from densecavoid.learning.checkpoint import as_tensors
 from densecavoid.learning.collector import Collector, Teacher
 from densecavoid.learning.config import TrainConfig
 from densecavoid.learning.curriculum import Curriculum
@@ -231,11 +232,6 @@ class Trainer:
         scenario = self._scenario()
         for env in self.envs:
             env.scenario = scenario
-
-
-def as_tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """Arrays of a checkpoint as tensors of their own."""
-    return {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
 
 
 def _as_arrays(tree: Mapping[str, Any]) -> dict[str, Any]:

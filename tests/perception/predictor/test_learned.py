@@ -12,11 +12,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from densecavoid.learning.train_predictor import TrainPredictorConfig, first_card  # noqa: E402
 from densecavoid.perception.predictor.contract import ROBOT_HORIZONS_S, Histories, histories_of  # noqa: E402
 from densecavoid.perception.predictor.export import load_predictor, make_network, save_predictor  # noqa: E402
 from densecavoid.perception.predictor.kalman import KalmanPredictor  # noqa: E402
 from densecavoid.perception.predictor.learned import LearnedPredictor, every, network_inputs  # noqa: E402
-from densecavoid.perception.predictor.training import TrainPredictorConfig, first_card  # noqa: E402
 
 KINDS = ("compact", "robust-tp")
 

@@ -1,13 +1,11 @@
 """Trains a learned predictor: first the distance of the mean, and beside it the likelihood of the spread.
 
 The mean learns from distances alone (errors have heavy tails, which the likelihood would follow); the spread learns the
-likelihood around that mean. The weights kept are an exponential moving average. Torch is imported here and only here
-and in the networks.
+likelihood around that mean. The weights kept are an exponential moving average.
 """
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -15,12 +13,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import safetensors.torch
 import torch
 from rich.console import Console
 from torch import Tensor, nn
 
 from densecavoid.frames import choose, require
+from densecavoid.learning.checkpoint import as_tensors, load_checkpoint, save_checkpoint
 from densecavoid.perception.predictor.calibration import INSIDE_HALF, mahalanobis_square
 from densecavoid.perception.predictor.card import KINDS, PredictorCard
 from densecavoid.perception.predictor.compact import CompactConfig
@@ -257,15 +255,16 @@ class _Run:
 
     def save(self) -> None:
         """Writes everything that decides how the run goes on; a crash leaves the old file or the new one."""
-        tensors = {f"network/{name}": tensor for name, tensor in self.network.state_dict().items()}
-        tensors |= {f"average/{name}": tensor for name, tensor in self.average.items()}
-        for number, state in self.optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser/{number}/{name}": torch.as_tensor(value) for name, value in state.items()}
-        progress = {"step": str(self.step), "seconds": str(self.seconds), "config": self._settings()}
+        state = {
+            "settings": self._settings(),
+            "step": self.step,
+            "seconds": self.seconds,
+            "network": dict(self.network.state_dict()),
+            "average": self.average,
+            "optimiser": {str(k): dict(moments) for k, moments in self.optimiser.state_dict()["state"].items()},
+        }
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = self.path.with_suffix(".tmp")
-        safetensors.torch.save_file({name: t.contiguous().clone() for name, t in tensors.items()}, temporary, progress)
-        os.replace(temporary, self.path)
+        save_checkpoint(self.path, state)
 
     def resume(self) -> None:
         """Goes on from the checkpoint, if there is one.
@@ -275,22 +274,12 @@ class _Run:
         """
         if not self.path.exists():
             return
-        with safetensors.safe_open(self.path, framework="pt") as file:
-            progress = file.metadata()
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        require(progress["config"] == self._settings(), str(self.path), progress["config"], self._settings())
-        self.step, self.seconds = int(progress["step"]), float(progress["seconds"])
-        part = {name: {} for name in ("network", "average")}
-        state: dict[int, dict[str, Tensor]] = {}
-        for key, tensor in tensors.items():
-            kind, name = key.split("/", 1)
-            if kind == "optimiser":
-                number, name = name.split("/")
-                state.setdefault(int(number), {})[name] = tensor
-            else:
-                part[kind][name] = tensor
-        self.network.load_state_dict(part["network"])
-        self.average = part["average"]
+        saved = load_checkpoint(self.path)
+        require(saved["settings"] == self._settings(), str(self.path), saved["settings"], self._settings())
+        self.step, self.seconds = saved["step"], saved["seconds"]
+        self.network.load_state_dict(as_tensors(saved["network"]))
+        self.average = as_tensors(saved["average"])
+        state = {int(k): as_tensors(moments) for k, moments in saved["optimiser"].items()}
         self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": state})
 
     def _settings(self) -> str:

@@ -10,10 +10,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from densecavoid.perception.predictor import training  # noqa: E402
+from densecavoid.learning import train_predictor as training  # noqa: E402
+from densecavoid.learning.train_predictor import TrainPredictorConfig, loss_of, train_predictor  # noqa: E402
 from densecavoid.perception.predictor.kalman import KalmanPredictor  # noqa: E402
 from densecavoid.perception.predictor.learned import LearnedPredictor  # noqa: E402
-from densecavoid.perception.predictor.training import TrainPredictorConfig, loss_of, train_predictor  # noqa: E402
 from densecavoid.perception.predictor.windows import Windows, cut  # noqa: E402
 
 
