@@ -8,6 +8,7 @@ import dataclasses
 import json
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,6 +37,27 @@ def from_dict(cls: type[T], values: dict[str, Any]) -> T:
         if key not in known:
             raise ValueError(f"{cls.__name__} has no field {key!r}, expected some of: {', '.join(known)}")
     return cls(**{key: _convert(hints[key], value) for key, value in values.items()})
+
+
+def read_card(cls: type[T], key: str, metadata: Mapping[str, str], kind: str, source: str) -> T:
+    """The card of a network, from its file's table of strings.
+
+    Args:
+        cls: the card's dataclass.
+        key: under which `to_json` of it was written.
+        metadata: the table.
+        kind: what the network is, for errors.
+        source: the file's name, for errors.
+
+    Raises:
+        ValueError: if the file carries no such card, or a broken one.
+    """
+    if key not in metadata:
+        raise ValueError(f"{source} is not a {kind} of this project: its metadata has no {key!r}")
+    try:
+        return from_json(cls, metadata[key])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{source}: {error}") from error
 
 
 def _convert(hint: Any, value: Any) -> Any:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import NamedTuple
 
 import onnxruntime
 
@@ -43,18 +45,34 @@ class Shelf:
             f"({', '.join(self.names()) or 'none'})"
         )
 
+    def open(self, name_or_path: str | Path, threads: int) -> OpenedNetwork:
+        """A network ready to run.
 
-def open_session(content: bytes, source: str | Path, threads: int) -> onnxruntime.InferenceSession:
-    """A network ready to run.
+        Args:
+            name_or_path: a shipped network's name or an ONNX file.
+            threads: of one call.
 
-    Args:
-        content: of the ONNX file.
-        source: what errors call it.
-        threads: of one call.
+        Raises:
+            FileNotFoundError: as `read`.
+            ValueError: if ONNX Runtime cannot load the file.
+        """
+        content = self.read(name_or_path)
+        session = _open_session(content, name_or_path, threads)
+        metadata = session.get_modelmeta().custom_metadata_map
+        return OpenedNetwork(session, metadata, hashlib.sha256(content).hexdigest())
 
-    Raises:
-        ValueError: if ONNX Runtime cannot load it.
-    """
+
+class OpenedNetwork(NamedTuple):
+    """A network ready to run."""
+
+    session: onnxruntime.InferenceSession
+    metadata: dict[str, str]
+    """The file's table of strings."""
+    sha256: str
+    """Hash of the file, for result tables."""
+
+
+def _open_session(content: bytes, source: str | Path, threads: int) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

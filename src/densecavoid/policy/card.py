@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from densecavoid.frames import choose, require
-from densecavoid.networks.config_json import from_json, to_json
+from densecavoid.networks.config_json import read_card, to_json
 from densecavoid.policy.sensors import SENSORS
 
 METADATA_KEY = "densecavoid.policy"
@@ -58,9 +58,4 @@ class PolicyCard:
         Raises:
             ValueError: if the file carries no card, or a broken one.
         """
-        if METADATA_KEY not in metadata:
-            raise ValueError(f"{source} is not a policy of this project: its metadata has no {METADATA_KEY!r}")
-        try:
-            return from_json(PolicyCard, metadata[METADATA_KEY])
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{source}: {error}") from error
+        return read_card(PolicyCard, METADATA_KEY, metadata, "policy", source)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
 from densecavoid.frames import Observation
-from densecavoid.networks.onnx_files import Shelf, open_session
+from densecavoid.networks.onnx_files import Shelf
 from densecavoid.policy.card import PolicyCard
 
 _TYPES = {
@@ -39,13 +38,9 @@ class OnnxPolicy:
             FileNotFoundError: if there is no such policy.
             ValueError: if the file is not a policy of this project.
         """
-        content = POLICIES.read(name_or_path)
-        self.sha256 = hashlib.sha256(content).hexdigest()
-        """Hash of the file, for result tables."""
-        self._session = open_session(content, name_or_path, threads)
-        self.card = PolicyCard.from_metadata(
-            self._session.get_modelmeta().custom_metadata_map, f"the file of policy {str(name_or_path)!r}"
-        )
+        opened = POLICIES.open(name_or_path, threads)
+        self._session, self.sha256 = opened.session, opened.sha256
+        self.card = PolicyCard.from_metadata(opened.metadata, f"the file of policy {str(name_or_path)!r}")
         self._shapes = self._check_graph(str(name_or_path))
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "B 2"]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from densecavoid.frames import CameraConfig, choose, require
+from densecavoid.networks.config_json import read_card
 
 METADATA_KEY = "densecavoid.detector"
 CARD_FORMAT = 1
@@ -79,12 +80,4 @@ class DetectorCard:
         Raises:
             ValueError: naming `source`, if the file carries no card, or a broken one.
         """
-        if METADATA_KEY not in metadata:
-            raise ValueError(f"{source} is not a detector of this project: its metadata has no {METADATA_KEY!r}")
-        try:
-            values = json.loads(metadata[METADATA_KEY])
-            values["place_error"] = PlaceError(**values["place_error"])
-            values["camera"] = CameraConfig(**values["camera"]) if values["camera"] is not None else None
-            return DetectorCard(**values)
-        except (TypeError, KeyError, ValueError) as error:
-            raise ValueError(f"{source}: its card is broken: {error}") from error
+        return read_card(DetectorCard, METADATA_KEY, metadata, "detector", source)

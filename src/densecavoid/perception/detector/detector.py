@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from jaxtyping import Float, Float32, UInt8
 from PIL import Image
 
 from densecavoid.frames import CameraConfig, require
-from densecavoid.networks.onnx_files import Shelf, open_session
+from densecavoid.networks.onnx_files import Shelf
 from densecavoid.perception.detections import Detections
 from densecavoid.perception.detector.card import DetectorCard
 from densecavoid.perception.detector.darknet_config import parse_config
@@ -40,13 +39,9 @@ class OnnxDetector:
             FileNotFoundError: if there is no such detector.
             ValueError: if the file is no detector of that kind.
         """
-        content = DETECTORS.read(name_or_path)
-        self.sha256 = hashlib.sha256(content).hexdigest()
-        """Hash of the file, for result tables."""
-        self._session = open_session(content, name_or_path, threads)
-        self.card = DetectorCard.from_metadata(
-            self._session.get_modelmeta().custom_metadata_map, f"the file of detector {str(name_or_path)!r}"
-        )
+        opened = DETECTORS.open(name_or_path, threads)
+        self._session, self.sha256 = opened.session, opened.sha256
+        self.card = DetectorCard.from_metadata(opened.metadata, f"the file of detector {str(name_or_path)!r}")
         require(self.card.kind == kind, f"kind of {name_or_path}", self.card.kind, repr(kind))
         self.network = parse_config(self.card.network, str(name_or_path))
         least = self.card.threshold if threshold is None else threshold

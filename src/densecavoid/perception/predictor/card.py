@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from densecavoid.frames import choose, require
-from densecavoid.networks.config_json import from_json, to_json
+from densecavoid.networks.config_json import read_card, to_json
 
 METADATA_KEY = "densecavoid.predictor"
 CARD_FORMAT = 1
@@ -68,9 +68,4 @@ class PredictorCard:
         Raises:
             ValueError: if the file `source` carries no card, or a broken one.
         """
-        if METADATA_KEY not in metadata:
-            raise ValueError(f"{source} is not a predictor of this project: its metadata has no {METADATA_KEY!r}")
-        try:
-            return from_json(PredictorCard, metadata[METADATA_KEY])
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{source}: {error}") from error
+        return read_card(PredictorCard, METADATA_KEY, metadata, "predictor", source)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from densecavoid.frames import require
-from densecavoid.networks.onnx_files import Shelf, open_session
+from densecavoid.networks.onnx_files import Shelf
 from densecavoid.perception.predictor.card import PredictorCard
 from densecavoid.perception.predictor.contract import Histories, Prediction, check_horizons
 from densecavoid.perception.predictor.features import compute_features
@@ -128,13 +127,9 @@ class LearnedPredictor:
             FileNotFoundError: if there is no such predictor.
             ValueError: if the file is not a predictor of this project.
         """
-        content = LEARNED.read(name_or_path)
-        self.sha256 = hashlib.sha256(content).hexdigest()
-        """Hash of the file, for result tables."""
-        self._session = open_session(content, name_or_path, threads)
-        self.card = PredictorCard.from_metadata(
-            self._session.get_modelmeta().custom_metadata_map, f"the file of predictor {str(name_or_path)!r}"
-        )
+        opened = LEARNED.open(name_or_path, threads)
+        self._session, self.sha256 = opened.session, opened.sha256
+        self.card = PredictorCard.from_metadata(opened.metadata, f"the file of predictor {str(name_or_path)!r}")
         self.name = self.card.name
         self._inputs = [node.name for node in self._session.get_inputs()]
 
