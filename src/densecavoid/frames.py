@@ -148,6 +148,13 @@ class RobotConfig:
             require(value > 0 and math.isfinite(value), f"RobotConfig.{name}", value, "positive and finite")
 
 
+NUM_SCANS = 3
+"""Consecutive scans in an observation (paper, Fig. 3)."""
+PERSON_NUMBERS = 6
+"""What training may be told of each true person: x, y (m) and velocity x, y (m/s) in the robot's frame, radius (m), and
+1 if there is one."""
+
+
 class People(NamedTuple):
     """Ground truth about everybody in each world. Slots that are not `active` hold no meaning."""
 
@@ -250,6 +257,22 @@ def goal_polar(
     """Distance (m) and bearing (rad) of a goal seen from poses in the same frame."""
     offset = goal - pose[:, :2]
     return np.hypot(offset[:, 0], offset[:, 1]), wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - pose[:, 2])
+
+
+def into_robot_frame(
+    yaw_rad: Float[np.ndarray, "*robots"], vectors: Float[np.ndarray, "*robots vectors 2"]
+) -> Float[np.ndarray, "*robots vectors 2"]:
+    """Vectors along the axes of robots with these headings (x ahead, y left)."""
+    cos, sin = np.cos(yaw_rad)[..., None], np.sin(yaw_rad)[..., None]
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+
+
+def seen_from(
+    pose: Float[np.ndarray, "*robots 3"], points: Float[np.ndarray, "*robots points 2"]
+) -> Float[np.ndarray, "*robots points 2"]:
+    """Points in the frame of robots at these poses (x, y, yaw; same frame as the points)."""
+    return into_robot_frame(pose[..., 2], points - pose[..., None, :2])
 
 
 def choose(name: str, value: str, known: Sequence[str]) -> str:

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, choose, require
+from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, choose, into_robot_frame, require, seen_from
+from densecavoid.perception.tracks import Tracks
 
 
 class People(NamedTuple):
@@ -34,18 +35,16 @@ class PeopleAround:
         lidar: LidarConfig = LidarConfig(),
         camera: CameraConfig = CameraConfig(),
     ) -> None:
-        self.source = choose("source of people", source, ("tracks", "truth"))
-        self._config = ObserverConfig(lidar, camera, people_from="detector")
-        self._observer = Observer(self._config, 1)
-
-    @property
-    def privileged(self) -> bool:
+        self.privileged = choose("source of people", source, ("tracks", "truth")) == "truth"
         """Whether ground truth is read."""
-        return self.source == "truth" or self._observer.privileged
+        self._config = ObserverConfig(lidar, camera, people_from="detector")
+        self._observer: Observer | None = None
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets the marked worlds; their number sets the batch size."""
-        if len(which) != self._observer.num_worlds:
+        if self.privileged:
+            return
+        if self._observer is None or len(which) != self._observer.num_worlds:
             self._observer = Observer(self._config, len(which))
         else:
             self._observer.reset(which)
@@ -56,24 +55,25 @@ class PeopleAround:
         Raises:
             ValueError: for a frame of another number of worlds than `reset` announced, or without the truth needed.
         """
-        if self.source == "truth":
+        if self.privileged:
             require(frame.truth is not None, "truth of the frame", None, "a simulator's, for people from truth")
             assert frame.truth is not None
             people = frame.truth.people
             pose = frame.truth.robot_pose_w
-            return _seen_from(pose, people.pos_w, people.vel_w, people.radius_m, people.active)
+            return _around(pose, people.pos_w, people.vel_w, people.radius_m, people.active)
+        if self._observer is None:
+            self._observer = Observer(self._config, frame.num_worlds)
         self._observer.observe(frame)
-        tracks = self._observer.tracks
-        return _seen_from(
-            frame.odom_pose,
-            tracks.state[..., :2],
-            tracks.state[..., 2:],
-            tracks.body[..., 0],
-            tracks.live & tracks.confirmed,
-        )
+        return people_of(self._observer.tracks, frame)
 
 
-def _seen_from(
+def people_of(tracks: Tracks, frame: SensorFrame) -> People:
+    """Those whom a tracker is sure of."""
+    state, radius_m = tracks.state, tracks.body[..., 0]
+    return _around(frame.odom_pose, state[..., :2], state[..., 2:], radius_m, tracks.confirmed)
+
+
+def _around(
     pose: Float[np.ndarray, "B 3"],
     pos: Float[np.ndarray, "B P 2"],
     vel: Float[np.ndarray, "B P 2"],
@@ -81,18 +81,11 @@ def _seen_from(
     there: Bool[np.ndarray, "B P"],
 ) -> People:
     return People(
-        into_robot_frame(pose[:, 2], np.asarray(pos, np.float64) - pose[:, None, :2]),
+        seen_from(pose, np.asarray(pos, np.float64)),
         into_robot_frame(pose[:, 2], np.asarray(vel, np.float64)),
         np.asarray(radius_m, np.float64),
         np.asarray(there, np.bool_),
     )
-
-
-def into_robot_frame(yaw: Float[np.ndarray, "B"], vectors: Float[np.ndarray, "B P 2"]) -> Float[np.ndarray, "B P 2"]:
-    """Vectors of the odometry frame along the axes of robots with these headings."""
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
 
 
 class ScanPoints:

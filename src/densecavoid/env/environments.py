@@ -11,10 +11,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from densecavoid.env.observation import ObserverConfig
-from densecavoid.env.privileged import PERSON_NUMBERS, nearest_people
+from densecavoid.env.privileged import nearest_people
 from densecavoid.env.reward import RewardConfig
 from densecavoid.env.task import NavigationTask, action_space, observation_space
-from densecavoid.frames import Observation
+from densecavoid.frames import PERSON_NUMBERS, Observation
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.spec import Scenario
 from densecavoid.sim.world import SimConfig

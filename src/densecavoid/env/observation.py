@@ -10,14 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
-from densecavoid.frames import Observation, SensorFrame, goal_polar, require
+from densecavoid.frames import NUM_SCANS, Observation, SensorFrame, goal_polar, require
 from densecavoid.perception.config import PerceptionConfig
 from densecavoid.perception.pipeline import PeoplePipeline
 from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
-
-SCANS = 3
-"""Consecutive scans in an observation (paper, Fig. 3)."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Observer:
         self.people = PeoplePipeline(config, num_worlds)
         """Who is seen, followed and foreseen."""
         self._fresh = np.ones(num_worlds, np.bool_)
-        self._lidar = np.ones((num_worlds, SCANS, config.lidar.num_rays), np.float32)
+        self._lidar = np.ones((num_worlds, NUM_SCANS, config.lidar.num_rays), np.float32)
         self._camera = np.zeros((num_worlds, config.camera.height, config.camera.width), np.uint8)
 
     @property

@@ -7,10 +7,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32
 
+from densecavoid.frames import PERSON_NUMBERS, into_robot_frame
 from densecavoid.sim.world import Simulator
-
-PERSON_NUMBERS = 6
-"""x, y (m) and velocity x, y (m/s) in the robot's frame, radius (m), 1 if there is one."""
 
 
 def nearest_people(simulator: Simulator, count: int) -> Float32[np.ndarray, "B count numbers"]:
@@ -26,11 +24,9 @@ def nearest_people(simulator: Simulator, count: int) -> Float32[np.ndarray, "B c
     nearest = np.argsort(distance, axis=1, kind="stable")[:, :count]
     rows = np.arange(simulator.num_worlds)[:, None]
     there = people.active[rows, nearest]
-    cos, sin = np.cos(pose[:, 2])[:, None], np.sin(pose[:, 2])[:, None]
     for first, vectors in ((0, offset), (2, people.vel_w)):
-        x, y = vectors[rows, nearest, 0], vectors[rows, nearest, 1]
-        told[:, : nearest.shape[1], first] = np.where(there, cos * x + sin * y, 0.0)
-        told[:, : nearest.shape[1], first + 1] = np.where(there, cos * y - sin * x, 0.0)
+        turned = into_robot_frame(pose[:, 2], vectors[rows, nearest])
+        told[:, : nearest.shape[1], first : first + 2] = np.where(there[..., None], turned, 0.0)
     told[:, : nearest.shape[1], 4] = np.where(there, people.radius_m[rows, nearest], 0.0)
     told[:, : nearest.shape[1], 5] = there
     return told

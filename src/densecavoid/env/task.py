@@ -8,9 +8,9 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import Bool, Float, Float32
 
-from densecavoid.env.observation import SCANS, Observer, ObserverConfig
+from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.env.reward import RewardConfig, Transition, reward_terms
-from densecavoid.frames import Command, Observation, require
+from densecavoid.frames import NUM_SCANS, Command, Observation, require
 from densecavoid.sim.spec import Scenario
 from densecavoid.sim.world import SimConfig, Simulator
 
@@ -169,7 +169,7 @@ def observation_space(config: SimConfig) -> spaces.Space:
     limit = np.array([robot.max_linear_velocity, robot.max_angular_velocity], np.float32)
     return spaces.Dict(
         {
-            "lidar": spaces.Box(0.0, 1.0, (SCANS, config.lidar.num_rays), np.float32),
+            "lidar": spaces.Box(0.0, 1.0, (NUM_SCANS, config.lidar.num_rays), np.float32),
             "camera": spaces.Box(0, 255, image, np.uint8),
             "goal": spaces.Box(
                 np.array([0.0, -np.pi], np.float32), np.array([_FARTHEST_GOAL_M, np.pi], np.float32), dtype=np.float32

@@ -21,11 +21,9 @@ from jaxtyping import Float, Float32, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from densecavoid.frames import require
+from densecavoid.frames import NUM_SCANS, PERSON_NUMBERS, require
 from densecavoid.policy.moments import RunningMoments
 from densecavoid.policy.network_config import (
-    NUM_SCANS,
-    PERSON_NUMBERS,
     PRESETS,
     ConvConfig,
     NetworkConfig,

@@ -7,11 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from densecavoid.frames import choose, require
-
-NUM_SCANS = 3
-PERSON_NUMBERS = 6
-"""Of each true person: x, y (m), velocity x, y (m/s) in the robot's frame, radius (m), 1 if there is one."""
+from densecavoid.frames import NUM_SCANS, PERSON_NUMBERS, choose, require
 
 
 @dataclass(frozen=True)

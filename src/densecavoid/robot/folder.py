@@ -12,7 +12,6 @@ import hashlib
 import importlib
 import importlib.metadata
 import json
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from densecavoid.env.observation import ObserverConfig
-from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, require
+from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, into_robot_frame, require, seen_from
 from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.legs import LegDetector
 from densecavoid.perception.tracker import Sighting, Tracker
@@ -217,9 +216,8 @@ class FolderPilot:
     def people(self, pose: tuple[float, float, float]) -> PeopleNear:
         """Everybody who is surely a person."""
         tracks = self._navigator.tracks if self._legs is None else self._tracker.tracks
-        some = np.flatnonzero(tracks.live[0] & tracks.confirmed[0])
+        some, where = np.flatnonzero(tracks.confirmed[0]), np.array(pose)
         if len(some) == 0:
             return NOBODY
-        state, cos, sin = tracks.state[0, some], math.cos(pose[2]), math.sin(pose[2])
-        turn = np.array([[cos, sin], [-sin, cos]])
-        return PeopleNear((state[:, :2] - pose[:2]) @ turn.T, state[:, 2:4] @ turn.T, tracks.body[0, some, 0].copy())
+        pos, vel = tracks.state[0, some, :2], tracks.state[0, some, 2:]
+        return PeopleNear(seen_from(where, pos), into_robot_frame(where[..., 2], vel), tracks.body[0, some, 0].copy())

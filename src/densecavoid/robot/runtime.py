@@ -180,11 +180,6 @@ class RobotRuntime:
         self.watchdog.goal("")
         return ""
 
-    def cancel_goal(self) -> None:
-        """The robot is to stand."""
-        self._goal = None
-        self.watchdog.goal("goal cancelled")
-
     def on_transforms(self, transforms: Iterable[Any], now_s: float, static: bool) -> list[str]:
         """The transforms of a TFMessage; returns what was wrong with those refused."""
         try:

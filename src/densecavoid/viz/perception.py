@@ -12,16 +12,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, Wedge
 
+from densecavoid.frames import seen_from
 from densecavoid.perception.evaluation.driving import drive_about
-from densecavoid.perception.evaluation.error_fit import ErrorTable, in_robot_frame
+from densecavoid.perception.evaluation.error_fit import ErrorTable
 from densecavoid.perception.pipeline import PeoplePipeline, expect_people
+from densecavoid.perception.predictor.calibration import INSIDE_HALF
 from densecavoid.perception.tracks import HISTORY
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.world import SimConfig, Simulator
 from densecavoid.viz import theme
 
 _AHEAD_M, _BEHIND_M, _ASIDE_M = 6.0, 1.5, 4.0
-_HALF_INSIDE = 1.1774  # of a round Gaussian: the radius of the 50 % circle in standard deviations
 
 
 def _colour(rgb: theme.Colour) -> tuple[float, float, float]:
@@ -58,11 +59,11 @@ def _look(pipeline: PeoplePipeline, scenario: str, steps: int, seed: int) -> _Se
         truth, tracks, pose = frame.truth, pipeline.tracks, frame.odom_pose[0]
         assert truth is not None
         active = truth.people.active[0]
-        places = in_robot_frame(truth.people.pos_w[0, active].astype(float), truth.robot_pose_w[0])
+        places = seen_from(truth.robot_pose_w[0], truth.people.pos_w[0, active].astype(float))
         expected = expect_people(tracks, pipeline.predictor, config.horizons_s, which)
         sure = np.flatnonzero(tracks.confirmed[0])
         count = tracks.history_count[0]
-        ahead, left = in_robot_frame(tracks.state[0, sure, :2], pose).T
+        ahead, left = seen_from(pose, tracks.state[0, sure, :2]).T
         in_view = int(((ahead > config.camera.min_range_m) & (np.abs(left) < slope * ahead)).sum())
         if in_view <= most:
             continue
@@ -70,9 +71,9 @@ def _look(pipeline: PeoplePipeline, scenario: str, steps: int, seed: int) -> _Se
         turn = _turned(expected.covariance, -float(pose[2]))
         seen = _Seen(
             np.column_stack([places, truth.people.radius_m[0, active]]),
-            in_robot_frame(tracks.state[0, sure, :2], pose),
-            [in_robot_frame(tracks.history[0, t, HISTORY - count[t] :].astype(float), pose) for t in sure],
-            in_robot_frame(expected.pos.reshape(-1, 2), pose).reshape(expected.pos.shape),
+            seen_from(pose, tracks.state[0, sure, :2]),
+            [seen_from(pose, tracks.history[0, t, HISTORY - count[t] :].astype(float)) for t in sure],
+            seen_from(pose, expected.pos.reshape(-1, 2)).reshape(expected.pos.shape),
             turn,
             frame.depth_m[0].copy(),
             pipeline.prediction[0].copy(),
@@ -143,7 +144,7 @@ def _draw_plan(axis: Axes, seen: _Seen, pipeline: PeoplePipeline) -> None:
         for (x, y), (xx, xy, yy) in zip(pos, covariance, strict=True):
             size, axes = np.linalg.eigh([[yy, -xy], [-xy, xx]])
             angle = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
-            width, height = 2 * _HALF_INSIDE * np.sqrt(np.maximum(size[::-1], 0.0))
+            width, height = 2 * np.sqrt(INSIDE_HALF * np.maximum(size[::-1], 0.0))
             ellipse = Ellipse((-y, x), width, height, angle=angle)
             ellipse.set(facecolor="none", edgecolor=_colour(theme.LIDAR), linewidth=1.2)
             axis.add_patch(ellipse)

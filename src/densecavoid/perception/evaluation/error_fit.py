@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.special import ndtr, ndtri
 
-from densecavoid.frames import People, SensorFrame, require
+from densecavoid.frames import People, SensorFrame, require, seen_from
 from densecavoid.perception.config import PerceptionConfig
 from densecavoid.perception.detections import Detections
 from densecavoid.perception.error_model import QUANTILES, DetectorErrors
@@ -107,13 +107,6 @@ class ErrorTable(NamedTuple):
     images: int
 
 
-def in_robot_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Points [N, 2] of the frame in which the robot is at `pose` (x, y, yaw), seen from it."""
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    off = points - pose[:2]
-    return np.stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]], axis=1)
-
-
 def match_people(found: np.ndarray, there: np.ndarray, farthest_m: float) -> Iterator[tuple[int, int]]:
     """Pairs (row of `found`, row of `there`) of places [N, 2] with the least total distance, within `farthest_m`."""
     if len(found) and len(there):
@@ -142,7 +135,7 @@ def record_errors(simulator: Simulator, find: Find, view: CameraView, steps: int
         for b in range(simulator.num_worlds):
             people = _people_ahead(truth.people, frame, b, view, truth.robot_pose_w[b])
             count = int(detections.count[b])
-            found = in_robot_frame(detections.pos[b, :count], frame.odom_pose[b])
+            found = seen_from(frame.odom_pose[b], detections.pos[b, :count])
             pairs = {i: d for d, i in match_people(found, people[:, :2], MATCHED_M)}
             for i, person in enumerate(people):
                 who = float(moment.episode[b] * 10_000 + person[5])
@@ -171,8 +164,8 @@ def _people_ahead(people: People, frame: SensorFrame, b: int, view: CameraView, 
     visible, id, people per m2 around."""
     shares = visible_people(frame.depth_m[b], pose, people, b, view)
     seen = shares > 0.0
-    places = in_robot_frame(people.pos_w[b, seen].astype(float), pose)
-    everybody = in_robot_frame(people.pos_w[b, people.active[b]].astype(float), pose)
+    places = seen_from(pose, people.pos_w[b, seen].astype(float))
+    everybody = seen_from(pose, people.pos_w[b, people.active[b]].astype(float))
     near = np.hypot(*(places[:, None] - everybody[None]).transpose(2, 0, 1)) < _AROUND_M
     density = near.sum(axis=1) / (math.pi * _AROUND_M**2)
     rest = people.radius_m[b, seen], people.height_m[b, seen], shares[seen], people.id[b, seen], density

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from densecavoid.frames import seen_from
 from densecavoid.perception.config import PeopleFrom, PerceptionConfig
 from densecavoid.perception.evaluation.driving import drive_about
-from densecavoid.perception.evaluation.error_fit import in_robot_frame, match_people
+from densecavoid.perception.evaluation.error_fit import match_people
 from densecavoid.perception.pipeline import PeoplePipeline
 from densecavoid.perception.prediction_frame import FREE
 from densecavoid.perception.projection import camera_view
@@ -99,11 +100,11 @@ def compare_forms(
             for b in range(config.worlds):
                 active = truth.people.active[b]
                 seen = visible_people(frame.depth_m[b], truth.robot_pose_w[b], truth.people, b, view)[active]
-                places = in_robot_frame(truth.people.pos_w[b, active].astype(float), truth.robot_pose_w[b])
+                places = seen_from(truth.robot_pose_w[b], truth.people.pos_w[b, active].astype(float))
                 for form, pipeline in pipelines.items():
                     tracks = pipeline.tracks
                     mine = tracks.state[b, tracks.confirmed[b], :2]
-                    _add(scores[form], in_robot_frame(mine, frame.odom_pose[b]), places, seen >= MIN_VISIBLE_FRACTION)
+                    _add(scores[form], seen_from(frame.odom_pose[b], mine), places, seen >= MIN_VISIBLE_FRACTION)
                     _add_overlap(scores[form], pipeline.prediction[b], pipelines["truth"].prediction[b])
     return scores
 

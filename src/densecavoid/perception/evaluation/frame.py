@@ -75,9 +75,8 @@ def evaluate_frames(
 ) -> dict[str, dict[float, Overlaps]]:
     """Drives robots through crowds and scores every predictor at every horizon, on the same tracks.
 
-    Frames in
-    which nobody is seen and nobody is expected are left out. People whom the camera has not shown for a second or more
-    are neither asked for nor held against those who draw them.
+    Frames in which nobody is seen and nobody is expected are left out. People whom the camera has not shown for a
+    second or more are neither asked for nor held against those who draw them.
 
     Args:
         predictors: by the names of the results.

@@ -102,7 +102,7 @@ def match(
     """Judges the positions of one scan. Those near `others`, who may or may not be reported, do not count."""
     apart = np.hypot(*(found[:, None] - people[None]).transpose(2, 0, 1))
     right, error = np.zeros(len(found)), np.full(len(found), np.nan)
-    # The surest positions choose; among equals the nearest: what does not match is pushed out of reach.
+    # Most matches, and of those the nearest: what does not match is pushed out of reach.
     cost = np.where(apart < MATCH_M, apart, 10.0)
     for row, column in zip(*linear_sum_assignment(cost), strict=True):
         if apart[row, column] < MATCH_M:

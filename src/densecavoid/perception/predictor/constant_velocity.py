@@ -45,6 +45,9 @@ class ConstantVelocity:
 
     def velocity(self, histories: Histories) -> tuple[Float[np.ndarray, "N 2"], Bool[np.ndarray, "N"]]:
         """Velocities (m/s; 0 where unknown), and which are known."""
+        given: Bool[np.ndarray, "N"] = np.isfinite(histories.velocity).all(axis=1)
+        if given.all():  # as from a tracker
+            return histories.velocity.astype(np.float64), given
         count, steps = histories.valid.shape
         reach = min(max(round(self.over_s / histories.period_s), 1), steps - 1)
         velocity, known = np.zeros((count, 2)), np.zeros(count, np.bool_)
@@ -52,6 +55,5 @@ class ConstantVelocity:
             both = histories.valid[:, -1] & histories.valid[:, -1 - back]
             velocity[both] = (histories.pos[both, -1] - histories.pos[both, -1 - back]) / (back * histories.period_s)
             known |= both
-        given = np.isfinite(histories.velocity).all(axis=1)
         velocity[given] = histories.velocity[given]
         return velocity, known | given

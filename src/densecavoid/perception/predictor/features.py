@@ -104,6 +104,15 @@ def _write_features(pos, valid, group, velocity, period_s, own, neighbours, dire
             neighbours[n, k, 4] = 1.0
 
 
+def as_kernels_read(histories: Histories) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places, their validity and groups."""
+    return (
+        np.ascontiguousarray(histories.pos, np.float64),
+        np.ascontiguousarray(histories.valid),
+        np.ascontiguousarray(histories.group, np.int64),
+    )
+
+
 def base_velocity(histories: Histories, base: KalmanPredictor) -> np.ndarray:
     """[N, 2] of the constant-velocity line: the tracker's, or `base`'s where there is none; 0 without any place."""
     velocity = np.array(histories.velocity, np.float64)
@@ -121,14 +130,6 @@ def compute_features(histories: Histories, base: KalmanPredictor) -> Features:
     own = np.empty((count, own_size(samples)), np.float32)
     neighbours = np.empty((count, NEIGHBOURS, NEIGHBOUR_NUMBERS), np.float32)
     direction = np.empty((count, 2))
-    _write_features(
-        np.ascontiguousarray(histories.pos, np.float64),
-        np.ascontiguousarray(histories.valid),
-        np.ascontiguousarray(histories.group, np.int64),
-        velocity,
-        float(histories.period_s),
-        own,
-        neighbours,
-        direction,
-    )
+    period_s = float(histories.period_s)
+    _write_features(*as_kernels_read(histories), velocity, period_s, own, neighbours, direction)
     return Features(own, neighbours, velocity, direction)

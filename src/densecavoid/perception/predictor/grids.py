@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.perception.predictor.contract import Histories
-from densecavoid.perception.predictor.features import MIN_SPEED, base_velocity
+from densecavoid.perception.predictor.features import MIN_SPEED, as_kernels_read, base_velocity
 from densecavoid.perception.predictor.kalman import KalmanPredictor
 from densecavoid.sim._jit import inner, kernel
 
@@ -148,16 +148,6 @@ def compute_grids(histories: Histories, base: KalmanPredictor) -> GridFeatures:
     pair = np.zeros((count, SLOTS, PAIR), np.float32)
     cells = np.zeros((count, SLOTS, sum(NUM_CELLS)), np.float32)
     direction = np.empty((count, 2))
-    _write_grids(
-        np.ascontiguousarray(histories.pos, np.float64),
-        np.ascontiguousarray(histories.valid),
-        np.ascontiguousarray(histories.group, np.int64),
-        velocity,
-        float(histories.period_s),
-        own,
-        neighbour,
-        pair,
-        cells,
-        direction,
-    )
+    period_s = float(histories.period_s)
+    _write_grids(*as_kernels_read(histories), velocity, period_s, own, neighbour, pair, cells, direction)
     return GridFeatures(own, neighbour, pair, cells, velocity, direction)

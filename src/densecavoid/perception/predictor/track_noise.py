@@ -16,7 +16,7 @@ from densecavoid.perception.predictor.windows import Windows
 from densecavoid.perception.tracker import ACCELERATION_STD
 
 TRACKER_FILTER = KalmanPredictor(acceleration_std=ACCELERATION_STD, measurement_std=0.05, speed_std=1.0)
-"""The tracker's Kalman filter."""
+"""As the tracker's, which was a little surer of newcomers' speed when its settings were searched later on."""
 _BIAS_TIME_S = 0.5  # a person's visible side changes over about a step
 _SWITCH_REACH_M = 1.0
 
