@@ -9,10 +9,11 @@ shutdown.
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,11 +110,11 @@ class DenseCAvoidNode:
         if refused:
             rospy.logerr("goal refused: %s", refused)
 
-    def spin(self) -> None:
-        """The control loop, by the wall's clock, until shutdown."""
+    def spin(self, wanted: Callable[[], bool]) -> None:
+        """The control loop, by the wall's clock, for as long as it is wanted and the master lives."""
         period_s = 1.0 / self.settings.control_hz
         due_s = time.monotonic()
-        while not rospy.is_shutdown():
+        while wanted() and not rospy.is_shutdown():
             with self._lock:
                 self._tick()
             due_s = max(due_s + period_s, time.monotonic())
@@ -131,8 +132,11 @@ class DenseCAvoidNode:
             self._publish_report(step, now_s)
 
     def stop_robot(self) -> None:
-        """Three zeros; nothing but zero after them."""
+        """Three zeros; nothing but zero after them. Not to be called from a signal handler, which may interrupt whoever
+        holds the lock."""
         with self._lock:
+            if self._stopped:
+                return
             self._stopped = True
             for _ in range(_ZEROS):
                 self._publish_velocity(0.0, 0.0)
@@ -159,6 +163,20 @@ def _ros_now_s() -> float:
 
 
 def run(config: NodeConfig, ros_args: Sequence[str]) -> None:
-    """Until SIGINT, SIGTERM or a shutdown by the master."""
-    rospy.init_node("densecavoid", argv=[sys.argv[0], *ros_args])
-    DenseCAvoidNode(config).spin()
+    """Until SIGINT, SIGTERM or a shutdown by the master; zero is sent before ROS is shut down."""
+    stop = False
+
+    def on_signal(number: int, frame: object) -> None:
+        nonlocal stop
+        stop = True
+
+    signal.signal(signal.SIGINT, on_signal)
+    signal.signal(signal.SIGTERM, on_signal)
+    # rospy's own handlers would run the shutdown hook in the middle of a control step, which holds the lock.
+    rospy.init_node("densecavoid", argv=[sys.argv[0], *ros_args], disable_signals=True)
+    node = DenseCAvoidNode(config)
+    try:
+        node.spin(lambda: not stop)
+    finally:
+        node.stop_robot()
+        rospy.signal_shutdown("stopped")
