@@ -34,12 +34,14 @@ class CameraView(NamedTuple):
 
 def camera_view(config: CameraConfig) -> CameraView:
     """Where the camera is and how it looks."""
+    focal_x, focal_y = config.focal_px
     return CameraView(
-        *config.focal_px,
+        float(focal_x),
+        float(focal_y),
         config.width,
         config.height,
-        config.mount_height_m,
-        config.mount_x_m,
+        float(config.mount_height_m),
+        float(config.mount_x_m),
         math.cos(config.mount_pitch_rad),
         math.sin(config.mount_pitch_rad),
     )

@@ -33,7 +33,7 @@ def test_a_level_cameras_box_is_the_prediction_frames():
         forward, left = rng.uniform(-1, 6), rng.uniform(-3, 3)
         radius, height = rng.uniform(0.2, 0.33), rng.uniform(1.5, 1.9)
         expected = body_box(forward, left, radius, height, camera_view(CAMERA))
-        found = person_box(forward, left, radius, height, 0.0, 0.4, *CAMERA.focal_px, 80, 60)
+        found = person_box(forward, left, radius, height, camera_view(CAMERA))
         np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -54,7 +54,8 @@ def test_a_pitched_cameras_box_holds_the_body_projected_by_a_matrix(pitch):
         columns = np.concatenate([pixels(*ring, z)[0] for z in (0.0, height)])
         foot, top = (float(pixels(np.array([forward]), np.array([left]), z)[1][0]) for z in (0.0, height))
         expected = columns.min(), top, columns.max(), foot
-        found = person_box(forward, left, radius, height, pitch, mount, focal_x, focal_y, 80, 60)
+        camera = dataclasses.replace(CAMERA, mount_height_m=mount, mount_pitch_rad=pitch)
+        found = person_box(forward, left, radius, height, camera_view(camera))
         np.testing.assert_allclose(found, expected, atol=0.05)
 
 
@@ -98,7 +99,7 @@ def test_a_camera_ahead_of_the_centre_and_looking_down_labels_the_place_from_the
     camera = dataclasses.replace(CAMERA, mount_x_m=0.2, mount_height_m=0.6, mount_pitch_rad=0.1)
     box, share, place = only(view_of([(3.2, 0.0)], camera=camera))
     np.testing.assert_allclose(place, [3.2, 0.0], atol=1e-6)
-    u_min, v_min, u_max, v_max = person_box(3.0, 0.0, 0.25, 1.7, 0.1, 0.6, *CAMERA.focal_px, 80, 60)
+    u_min, v_min, u_max, v_max = person_box(3.0, 0.0, 0.25, 1.7, camera_view(camera))
     np.testing.assert_allclose(box, [u_min, max(v_min, 0.0), u_max, v_max], atol=1e-3)
     assert share > 0.97
 

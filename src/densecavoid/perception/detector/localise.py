@@ -10,6 +10,7 @@ from densecavoid.frames import CameraConfig
 from densecavoid.perception.detections import Detections, allocate_detections
 from densecavoid.perception.detector.card import PlaceError
 from densecavoid.perception.detector.decode import Boxes
+from densecavoid.perception.projection import ahead_per_depth, camera_view, rise_per_depth
 from densecavoid.sim._jit import kernel
 
 ADULT_RADIUS_M, ADULT_HEIGHT_M = 0.255, 1.71
@@ -35,26 +36,24 @@ _WIDER = 1.04  # boxes of the network than the bodies in them
 
 
 @kernel
-def _expected_distance(box, cut_left, cut_right, rows, focal_x, focal_y, camera_height, pitch, low, high):
+def _expected_distance(box, cut_left, cut_right, view, low, high):
     """Distance ahead of the camera (m) that a box's width, foot and head agree on, and its logarithm's deviation."""
-    cos, sin = math.cos(pitch), math.sin(pitch)
     weight = 1.0 / 0.5**2  # somewhere between the camera's ranges
     total = weight * math.log(math.sqrt(low * high))
     if not cut_left and not cut_right:
         share = 1.0 / _WIDTH_LOG_STD**2
         weight += share
-        total += share * math.log(2.0 * _WIDER * ADULT_RADIUS_M * focal_x / max(box[2] - box[0], 1.0))
+        total += share * math.log(2.0 * _WIDER * ADULT_RADIUS_M * view.focal_x / max(box[2] - box[0], 1.0))
     for foot in range(2):
         v = box[3] if foot else box[1]
-        if v < _HEAD_ROOM_PX or v > rows - _CUT_PX:
+        if v < _HEAD_ROOM_PX or v > view.rows - _CUT_PX:
             continue
-        up = (0.5 * rows - v) / focal_y
-        rise, ahead = up * cos - sin, cos + up * sin
-        level = -camera_height if foot else ADULT_HEIGHT_M - camera_height
+        rise, ahead = rise_per_depth(view, v), ahead_per_depth(view, v)
+        level = -view.height_m if foot else ADULT_HEIGHT_M - view.height_m
         if rise * level <= 0.0 or abs(rise) < 1e-3:
             continue
         size_std = 0.0 if foot else _HEIGHT_LOG_STD
-        deviation = math.hypot(size_std, _EDGE_STD_PX / (abs(rise) * focal_y))
+        deviation = math.hypot(size_std, _EDGE_STD_PX / (abs(rise) * view.focal_y))
         share = 1.0 / deviation**2
         weight += share
         total += share * math.log(level / rise * ahead)
@@ -62,7 +61,7 @@ def _expected_distance(box, cut_left, cut_right, rows, focal_x, focal_y, camera_
 
 
 @kernel
-def _surface_distance(depth, taken, box, focal_y, camera_height, pitch, expected, deviation):
+def _surface_distance(depth, taken, box, view, expected, deviation):
     """Distance ahead of the camera (m) of the surface that fills the box about where it is expected.
 
     Of the distances in the box the densest cluster is taken, weighted by how well it agrees with the expectation, so
@@ -77,17 +76,15 @@ def _surface_distance(depth, taken, box, focal_y, camera_height, pitch, expected
     middle, half = 0.5 * (box[0] + box[2]), 0.5 * _MIDDLE * (box[2] - box[0])
     first, last = max(0, int(box[0])), min(width, math.ceil(box[2]))
     top, bottom = max(0, int(box[1])), min(rows, math.ceil(box[3]))
-    cos, sin = math.cos(pitch), math.sin(pitch)
     count, total = np.zeros(_NUM_BINS), np.zeros(_NUM_BINS)
     whole = 0.0
     for r in range(top, bottom):
-        up = (0.5 * rows - (r + 0.5)) / focal_y
-        rise, ahead = up * cos - sin, cos + up * sin
+        rise, ahead = rise_per_depth(view, r + 0.5), ahead_per_depth(view, r + 0.5)
         for c in range(first, last):
             weight = 1.0 if abs(c + 0.5 - middle) <= half else _BESIDE_WEIGHT
             whole += weight
             d = depth[r, c]
-            if taken[r, c] or not d > 0.0 or camera_height + d * rise < _GROUND_M:
+            if taken[r, c] or not d > 0.0 or view.height_m + d * rise < _GROUND_M:
                 continue
             k = int(d * ahead / _BIN_M)
             if k < _NUM_BINS:
@@ -107,16 +104,14 @@ def _surface_distance(depth, taken, box, focal_y, camera_height, pitch, expected
         if abs(off) < _FARTHEST_OFF and score > best:
             best, found, seen = score, sum_near / near, near
     for r in range(top, bottom):
-        ahead = cos + (0.5 * rows - (r + 0.5)) / focal_y * sin
+        ahead = ahead_per_depth(view, r + 0.5)
         for c in range(first, last):
             taken[r, c] |= abs(depth[r, c] * ahead - found) < _BODY_DEPTH_M
     return found, seen / max(whole, 1.0), 0.0 if seen > 0.0 else deviation * expected
 
 
 @kernel
-def place_boxes(
-    boxes, depth, mount_x, camera_height, pitch, focal_x, focal_y, low, high, place, body, shown, guess, cut
-):
+def place_boxes(boxes, depth, view, low, high, place, body, shown, guess, cut):
     """Fills, for boxes [N, 4], surest first, of one depth image [rows, width] in m (NaN: none):
 
     place [N, 2] metres ahead and to the left of the robot's centre; body [N, 2] radius and height in m, NaN where the
@@ -128,14 +123,11 @@ def place_boxes(
     for i in range(boxes.shape[0]):
         box = boxes[i]
         cut_left, cut_right = box[0] < _CUT_PX, box[2] > width - _CUT_PX
-        expected, deviation = _expected_distance(
-            box, cut_left, cut_right, rows, focal_x, focal_y, camera_height, pitch, low, high
-        )
-        surface, shown[i], guess[i] = _surface_distance(
-            depth, taken, box, focal_y, camera_height, pitch, expected, deviation
-        )
+        expected, deviation = _expected_distance(box, cut_left, cut_right, view, low, high)
+        surface, shown[i], guess[i] = _surface_distance(depth, taken, box, view, expected, deviation)
         # Sides of a box are tangents to the body's disc; where one is out of the image, the other tells.
-        left, right = math.atan((0.5 * width - box[0]) / focal_x), math.atan((0.5 * width - box[2]) / focal_x)
+        left = math.atan((0.5 * width - box[0]) / view.focal_x)
+        right = math.atan((0.5 * width - box[2]) / view.focal_x)
         half = math.asin(min(1.0, ADULT_RADIUS_M / max(surface, ADULT_RADIUS_M)))
         bearing = 0.5 * (left + right)
         if cut_left and not cut_right:
@@ -144,13 +136,11 @@ def place_boxes(
             bearing = min(bearing, left - half)
         forward = surface + _SURFACE_TO_AXIS_M * math.cos(bearing)
         cut[i] = cut_left or cut_right
-        place[i, 0], place[i, 1] = forward + mount_x, forward * math.tan(bearing)
+        place[i, 0], place[i, 1] = forward + view.ahead_m, forward * math.tan(bearing)
         distance = forward / math.cos(bearing)
         radius = distance * math.sin(0.5 * (left - right))
         body[i, 0] = np.nan if cut[i] else ADULT_RADIUS_M + _BODY_TRUST * (radius - ADULT_RADIUS_M)
-        up = (0.5 * rows - box[1]) / focal_y
-        ahead, rise = math.cos(pitch) + up * math.sin(pitch), up * math.cos(pitch) - math.sin(pitch)
-        height = camera_height + forward / ahead * rise
+        height = view.height_m + forward / ahead_per_depth(view, box[1]) * rise_per_depth(view, box[1])
         body[i, 1] = np.nan if box[1] < _CUT_PX else ADULT_HEIGHT_M + _BODY_TRUST * (height - ADULT_HEIGHT_M)
 
 
@@ -193,10 +183,7 @@ def localise(
     place_boxes(
         boxes.box[:count],
         depth_m,
-        float(camera.mount_x_m),
-        float(camera.mount_height_m),
-        float(camera.mount_pitch_rad),
-        *map(float, camera.focal_px),
+        camera_view(camera),
         float(camera.min_range_m),
         float(camera.max_range_m),
         place,

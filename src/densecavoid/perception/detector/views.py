@@ -12,7 +12,8 @@ import numpy as np
 
 from densecavoid.frames import CameraConfig, Command, require
 from densecavoid.perception.detections import MAX_DETECTIONS
-from densecavoid.perception.detector.labels import camera_numbers, label_people
+from densecavoid.perception.detector.labels import label_people
+from densecavoid.perception.projection import camera_view
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.spec import Scenario
 from densecavoid.sim.world import Simulator
@@ -148,29 +149,12 @@ def look(sim: Simulator, camera: CameraConfig, seeds: np.ndarray) -> Views:
     assert frame.truth is not None
     people = frame.truth.people
     views = _allocate(sim.num_worlds, camera)
-    mount_x, height, pitch, focal_x, focal_y = camera_numbers(camera)
+    view = camera_view(camera)
     views.world[:] = seeds
-    views.mount[:] = mount_x, height, pitch
+    views.mount[:] = camera.mount_x_m, camera.mount_height_m, camera.mount_pitch_rad
     views.depth_mm[:] = np.nan_to_num(np.rint(frame.depth_m * _MM_PER_M), nan=0.0).astype(np.uint16)
     for b in range(sim.num_worlds):
-        views.num_people[b] = label_people(
-            sim.body_cylinders(b),
-            people.pos_w[b],
-            people.radius_m[b],
-            people.height_m[b],
-            people.active[b],
-            people.id[b],
-            frame.truth.robot_pose_w[b],
-            frame.depth_m[b],
-            truth.instance[b],
-            mount_x,
-            height,
-            pitch,
-            focal_x,
-            focal_y,
-            views.box[b],
-            views.share[b],
-            views.place[b],
-            views.body[b],
-        )
+        seen = frame.truth.robot_pose_w[b], frame.depth_m[b], truth.instance[b]
+        labels = views.box[b], views.share[b], views.place[b], views.body[b]
+        views.num_people[b] = label_people(sim.body_cylinders(b), people, b, *seen, view, *labels)
     return views

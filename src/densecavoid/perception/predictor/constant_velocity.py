@@ -45,7 +45,7 @@ class ConstantVelocity:
 
     def velocity(self, histories: Histories) -> tuple[Float[np.ndarray, "N 2"], Bool[np.ndarray, "N"]]:
         """Velocities (m/s; 0 where unknown), and which are known."""
-        given: Bool[np.ndarray, "N"] = np.isfinite(histories.velocity).all(axis=1)
+        given: np.ndarray = np.all(np.isfinite(histories.velocity), axis=1)
         if given.all():  # as from a tracker
             return histories.velocity.astype(np.float64), given
         count, steps = histories.valid.shape
