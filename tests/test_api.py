@@ -107,3 +107,8 @@ def test_help_lists_the_verbs(capsys):
     assert main(["--help"]) == 0
     out = capsys.readouterr().out
     assert all(f"\n  {verb} " in out for verb in ("run", "train", "benchmark"))
+
+
+def test_what_is_wrong_is_said_to_the_letter_brackets_included(capsys):
+    assert main(["perceive", "nonsense"]) == 2
+    assert "usage: densecavoid perceive WHAT [options]" in capsys.readouterr().err

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
+
+from densecavoid._verbs import Verb, needing_torch, run_verb
 
 
 def _run(args: Sequence[str]) -> None:
@@ -68,13 +71,11 @@ class ResumeConfig:
 
 def _train(args: Sequence[str]) -> None:
     """train a policy with PPO in the paper's curriculum; --resume goes on with a run"""
-    try:
+    with needing_torch("training"):
         from densecavoid.learning.config import TrainConfig
         from densecavoid.learning.peers import PeerLostError
         from densecavoid.learning.ppo import TrainingDivergedError
         from densecavoid.learning.run import resume, train
-    except ModuleNotFoundError as error:
-        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
     try:
         if "--resume" in args:
             rest = [arg for arg in args if arg != "--resume"]
@@ -91,10 +92,8 @@ def _train(args: Sequence[str]) -> None:
 
 def _train_detector(args: Sequence[str]) -> None:
     """train the depth detector on simulated worlds; the same command goes on with an interrupted run"""
-    try:
+    with needing_torch("training"):
         from densecavoid.learning.train_detector import TrainDetectorConfig, train_detector
-    except ModuleNotFoundError as error:
-        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
     config = tyro.cli(TrainDetectorConfig, prog="densecavoid perceive train-detector", args=args)
     card = train_detector(config)
     print(f"average precision {card.training['check_ap50']:.3f} in other training worlds -> {config.out}/detector.onnx")
@@ -116,10 +115,8 @@ class ImportDarknetConfig:
 
 def _import_darknet(args: Sequence[str]) -> None:
     """turn Darknet weights for colour images into an ONNX file that finds people"""
-    try:
+    with needing_torch("importing"):
         from densecavoid.perception.detector.export import import_darknet
-    except ModuleNotFoundError as error:
-        raise ValueError(f"importing needs {error.name}: pip install 'densecavoid[train]'") from None
     config = tyro.cli(ImportDarknetConfig, prog="densecavoid perceive import-darknet", args=args)
     size = None if config.size is None else (config.size, config.size)
     import_darknet(config.weights, config.out, config.configuration, size)
@@ -137,10 +134,8 @@ def _train_legs(args: Sequence[str]) -> None:
 
 def _train_predictor(args: Sequence[str]) -> None:
     """train what foresees where people will be; a run that was cut off goes on"""
-    try:
+    with needing_torch("training"):
         from densecavoid.learning.train_predictor import TrainPredictorConfig, train_predictor
-    except ModuleNotFoundError as error:
-        raise ValueError(f"training needs {error.name}: pip install 'densecavoid[train]'") from None
     print(train_predictor(tyro.cli(TrainPredictorConfig, prog="densecavoid perceive train-predictor", args=args)))
 
 
@@ -160,7 +155,7 @@ def _evaluate_perception(args: Sequence[str]) -> None:
     evaluate(tyro.cli(EvaluateConfig, prog="densecavoid perceive evaluate", args=args), GoToGoal())
 
 
-PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
+PERCEIVE: dict[str, Verb] = {
     "train-detector": _train_detector,
     "import-darknet": _import_darknet,
     "train-legs": _train_legs,
@@ -173,14 +168,7 @@ PERCEIVE: dict[str, Callable[[Sequence[str]], None]] = {
 
 def _perceive(args: Sequence[str]) -> None:
     """train and evaluate what sees, tracks and predicts people"""
-    if not args or args[0] not in PERCEIVE:
-        wanted = "\n".join(f"  {name:16} {verb.__doc__}" for name, verb in PERCEIVE.items())
-        usage = f"usage: densecavoid perceive WHAT [options]\n\n{wanted}"
-        if args and args[0] not in ("-h", "--help"):
-            raise ValueError(f"unknown {args[0]!r}\n{usage}")
-        print(usage)
-        return
-    PERCEIVE[args[0]](args[1:])
+    run_verb("densecavoid perceive", PERCEIVE, args)
 
 
 def _export(args: Sequence[str]) -> None:
@@ -204,7 +192,7 @@ def _replay(args: Sequence[str]) -> None:
     replay(args)
 
 
-VERBS: dict[str, Callable[[Sequence[str]], None]] = {
+VERBS: dict[str, Verb] = {
     "run": _run,
     "train": _train,
     "benchmark": _benchmark,
@@ -236,7 +224,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         VERBS[args[0]](args[1:])
     except (ValueError, OSError) as error:
-        Console(stderr=True, soft_wrap=True).print(f"[bold red]densecavoid {args[0]}:[/] {error}", highlight=False)
+        text = f"[bold red]densecavoid {args[0]}:[/] {escape(str(error))}"  # an error's own [brackets] are no markup
+        Console(stderr=True, soft_wrap=True).print(text, highlight=False)
         return 2
     except KeyboardInterrupt:
         return 130

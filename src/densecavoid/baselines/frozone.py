@@ -9,13 +9,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from densecavoid.baselines.surroundings import People, PeopleAround
+from densecavoid.baselines.surroundings import People, PeopleAround, people_of
 from densecavoid.frames import CameraConfig, Command, LidarConfig, Navigator, RobotConfig, SensorFrame, require
+from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import kernel
+
+
+@runtime_checkable
+class SeesPeople(Protocol):
+    """A navigator that tracks people, such as a policy that sees the prediction frame."""
+
+    people_from: str
+
+    @property
+    def tracks(self) -> Tracks:
+        """Everybody tracked now."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -148,6 +162,8 @@ class Frozone:
         self.inner = inner
         self.robot = robot
         self.config = config or FrozoneConfig()
+        # Who finds people itself need not be asked twice.
+        self._sees = isinstance(inner, SeesPeople) and inner.people_from == "detector"
         self._people = PeopleAround("tracks", lidar, camera)
 
     @property
@@ -170,7 +186,7 @@ class Frozone:
         config, limit = self.config, self.robot.max_angular_velocity
         command = self.inner.act(frame)
         linear = command.linear_velocity.astype(np.float64)
-        zone, count, radius = self._zone(self._people.see(frame))
+        zone, count, radius = self._zone(self._see(frame))
         turn = np.zeros(frame.num_worlds)
         least_turns(
             zone,
@@ -188,6 +204,12 @@ class Frozone:
         # No angle leads past: as the inner navigator wants, which may be to wait.
         angular = np.where(stuck, command.angular_velocity, angular)
         return Command(command.linear_velocity, angular.astype(np.float32))
+
+    def _see(self, frame: SensorFrame) -> People:
+        if self._sees:
+            assert isinstance(self.inner, SeesPeople)
+            return people_of(self.inner.tracks, frame)
+        return self._people.see(frame)
 
     def _zone(self, people: People) -> tuple[Float[np.ndarray, "B P 2"], np.ndarray, Float[np.ndarray, "B"]]:
         """Corners that the zone is the hull of: people who may freeze the robot, where they will be; how many they are

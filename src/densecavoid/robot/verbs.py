@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+
+from densecavoid._verbs import Verb, run_verb
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")
 
@@ -93,17 +95,10 @@ def replay(args: Sequence[str]) -> None:
             print(f"  {name} {count:6} x {word}")
 
 
-ROBOT: dict[str, Callable[[Sequence[str]], None]] = {"ros1": _ros1, "ros2": _ros2, "faults": _faults}
+ROBOT: dict[str, Verb] = {"ros1": _ros1, "ros2": _ros2, "faults": _faults}
 """What `densecavoid robot` can do."""
 
 
 def robot(args: Sequence[str]) -> None:
     """drive a robot: the ROS 1 node, the ROS 2 node, the fault campaign"""
-    if not args or args[0] not in ROBOT:
-        wanted = "\n".join(f"  {name:10} {verb.__doc__}" for name, verb in ROBOT.items())
-        usage = f"usage: densecavoid robot WHAT [options]\n\n{wanted}"
-        if args and args[0] not in ("-h", "--help"):
-            raise ValueError(f"unknown {args[0]!r}\n{usage}")
-        print(usage)
-        return
-    ROBOT[args[0]](args[1:])
+    run_verb("densecavoid robot", ROBOT, args)

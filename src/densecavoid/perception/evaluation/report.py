@@ -19,7 +19,13 @@ from densecavoid.perception.evaluation.error_fit import ErrorTable, record_error
 from densecavoid.perception.evaluation.forms import FormsComparison, compare_forms
 from densecavoid.perception.evaluation.frame import FrameEvaluation, evaluate_frames, frame_table
 from densecavoid.perception.evaluation.legs import evaluate_legs
-from densecavoid.perception.evaluation.predictor import evaluate_predictors, robot_predictors, tables
+from densecavoid.perception.evaluation.predictor import (
+    evaluate_predictors,
+    hermes_test_windows,
+    robot_predictors,
+    tables,
+)
+from densecavoid.perception.evaluation.predictor_picture import draw_prediction_sheet
 from densecavoid.perception.evaluation.tracker import TrackingRun, evaluate_tracker
 from densecavoid.perception.pipeline import PeoplePipeline
 from densecavoid.perception.projection import camera_view
@@ -91,6 +97,7 @@ def evaluate(config: EvaluateConfig, navigator: Navigator, console: Console | No
     if data is not None:
         predictors = evaluate_predictors(data)
         keep("predictor", predictors, *tables(predictors))
+        draw_prediction_sheet(config.out / "predictions.png", hermes_test_windows(data), predictors)
     else:
         console.print("Predictors: skipped, there are no recordings (--data FOLDER)")
     frames = FrameEvaluation(worlds=config.worlds, steps=config.steps, seed=config.seed, threads=config.threads)
