@@ -10,8 +10,8 @@ from rich.console import Console
 
 from densecavoid.benchmark.metrics import RATES
 from densecavoid.benchmark.navigators import make_navigator
-from densecavoid.benchmark.planner import judge_worlds
 from densecavoid.benchmark.runner import TEST_SEEDS_START, BenchmarkConfig, run_benchmark
+from densecavoid.foresight.planner import judge_worlds
 
 QUIET = Console(quiet=True)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from densecavoid.benchmark import solvable
-from densecavoid.benchmark.planner import Judgement, Plan
 from densecavoid.benchmark.solvable import admit, judgement_of
+from densecavoid.foresight.planner import Judgement, Plan
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.config import SimConfig
 

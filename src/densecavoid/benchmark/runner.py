@@ -20,10 +20,10 @@ from densecavoid.benchmark.episode import Episode
 from densecavoid.benchmark.episode_file import plain, versions, write_json
 from densecavoid.benchmark.metrics import DEFINITION, EpisodeMetrics, episode_metrics, summarise
 from densecavoid.benchmark.navigators import make_navigator, policy_sha256
-from densecavoid.benchmark.planner import Judgement, judge_worlds
 from densecavoid.benchmark.rollout import run_episodes
 from densecavoid.benchmark.solvable import Admission, Seeds, admit
 from densecavoid.benchmark.statistics import wilson_interval
+from densecavoid.foresight.planner import Judgement, judge_worlds
 from densecavoid.frames import Navigator, require
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim._jit import available_threads, source_digest

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from densecavoid.benchmark.metrics import DEFINITION
-from densecavoid.benchmark.planner import Judgement, Plan, judge_worlds
+from densecavoid.foresight.planner import Judgement, Plan, judge_worlds
 from densecavoid.frames import require
 from densecavoid.scenarios.recorded import Hermes, TrackFile
 from densecavoid.scenarios.recordings import hermes_path
@@ -142,7 +142,7 @@ def judgement_of(scenario: Scenario, seed: int, config: SimConfig) -> Judgement:
 @cache
 def _versions() -> str:
     own = ("future", "lattice", "planner")
-    return source_digest("sim", "scenarios", *(f"benchmark/{name}.py" for name in own))
+    return source_digest("sim", "scenarios", *(f"foresight/{name}.py" for name in own))
 
 
 def _folder(scenario: Scenario, config: SimConfig) -> Path:

@@ -43,6 +43,7 @@ class Seen:
 
     observation: Observation
     people: np.ndarray | None
+    command_values: np.ndarray | None = None
 
 
 class Collector:
@@ -151,10 +152,10 @@ class Collector:
 
     def state_dict(self) -> dict[str, Any]:
         """The latest observations of this process' worlds and the lasting noise of all worlds."""
-        seen = {
-            str(g): {**s.observation._asdict(), **({} if s.people is None else {"people": s.people})}
-            for g, s in enumerate(self.seen)
-        }
+        seen = {}
+        for g, s in enumerate(self.seen):
+            told = {"people": s.people, "command_values": s.command_values}
+            seen[str(g)] = s.observation._asdict() | {name: array for name, array in told.items() if array is not None}
         return {"seen": seen, "noise": {} if self.noise is None else {"last": self.noise}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -162,8 +163,8 @@ class Collector:
         self.seen = []
         for g in range(len(self.envs)):
             arrays = dict(state["seen"][str(g)])
-            people = arrays.pop("people", None)
-            self.seen.append(Seen(Observation(**arrays), people))
+            people, worth = arrays.pop("people", None), arrays.pop("command_values", None)
+            self.seen.append(Seen(Observation(**arrays), people, worth))
         noise = state["noise"].get("last")
         self.noise = None if noise is None else torch.as_tensor(np.asarray(noise), device=self.device)
 
@@ -181,6 +182,10 @@ class Collector:
             told = [seen.people for seen in self.seen if seen.people is not None]
             people = np.concatenate(told) if told else None
             self._storage = Rollout.allocate(self.num_steps, example, people, self.device, self.lidar_dtype)
+            worth = self.seen[0].command_values
+            if worth is not None:
+                shape = (self.num_steps, self.num_worlds, worth.shape[1])
+                self._storage.command_values = torch.zeros(shape, device=self.device)
             if self.device.type == "cuda":
                 stored = [*self._storage.observation]
                 self._staging = [
@@ -222,6 +227,8 @@ class Collector:
         if rollout.people is not None and seen.people is not None:
             rollout.people[t, part].copy_(torch.from_numpy(seen.people))
             people = rollout.people[t, part]
+        if rollout.command_values is not None and seen.command_values is not None:
+            rollout.command_values[t, part].copy_(torch.from_numpy(seen.command_values))
         observation = ObservationTensors(*(stored[t, part] for stored in rollout.observation))
         output = network(observation, people)
         policy = DiagonalGaussian(output.mean, network.log_std)
@@ -266,7 +273,8 @@ class Collector:
     def _seen(self, observation: dict[str, np.ndarray]) -> Seen:
         """As the sensor configuration sees it."""
         arrays = Observation(*(np.asarray(observation[name]) for name in Observation._fields))
-        return Seen(mask_observation(arrays, self.sensors), observation.get("people"))
+        masked = mask_observation(arrays, self.sensors)
+        return Seen(masked, observation.get("people"), observation.get("command_values"))
 
     def _to_device(self, seen: Seen) -> tuple[ObservationTensors, Tensor | None]:
         tensors = ObservationTensors(*(torch.from_numpy(array).to(self.device) for array in seen.observation))

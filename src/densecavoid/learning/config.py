@@ -12,6 +12,7 @@ import torch
 from densecavoid.env.reward import RewardConfig
 from densecavoid.frames import choose, require
 from densecavoid.learning.curriculum import STAGES, CurriculumConfig
+from densecavoid.learning.foreseen_worlds import ForesightConfig
 from densecavoid.learning.imitation import ImitationConfig
 from densecavoid.learning.ppo import PPOConfig
 from densecavoid.learning.variety import VarietyConfig
@@ -83,6 +84,7 @@ class TrainConfig:
     or without errors."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
+    foresight: ForesightConfig = field(default_factory=ForesightConfig)
     variety: VarietyConfig = field(default_factory=VarietyConfig)
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
     sim: SimConfig = field(default_factory=SimConfig)
@@ -98,6 +100,19 @@ class TrainConfig:
         choose("critic", self.critic, ("as-network", "shared", "separate"))
         choose("storage", self.storage, ("float16", "float32"))
         require(0 <= self.noise_persistence < 1, "TrainConfig.noise_persistence", self.noise_persistence, "in [0, 1)")
+        foreseen = self.foresight.steps > 0
+        require(
+            not (foreseen and self.imitation.teacher is not None),
+            "TrainConfig.imitation.teacher",
+            self.imitation.teacher,
+            "none together with foresight.steps",
+        )
+        require(
+            not foreseen or (self.sim.people == "scripted" and self.variety.bodies == 0),
+            "TrainConfig.foresight.steps",
+            self.foresight.steps,
+            "0 with people who react, or with variety.bodies: they have no future of their own",
+        )
         groups = self.num_groups
         require(self.num_envs % groups == 0, "TrainConfig.num_envs", self.num_envs, f"a multiple of {groups} groups")
         for name in ("num_envs", "steps_per_rollout", "total_steps", "checkpoint_every"):
@@ -132,6 +147,8 @@ class TrainConfig:
             config = replace(config, shared_encoder=self.critic == "shared")
         if self.privileged_critic and config.people == "unseen":
             config = replace(config, people="critic")
+        if self.foresight.steps > 0:
+            config = replace(config, min_std=self.foresight.min_std)
         return replace(
             config.with_robot(robot.max_linear_velocity, robot.max_angular_velocity),
             normalise_inputs=self.normalise_inputs or config.normalise_inputs,

@@ -20,11 +20,11 @@ def mirror_observation(observation: ObservationTensors, which: Bool[Tensor, "B"]
     """The observation with the marked samples seen in the mirror. Sensors look straight ahead from the middle."""
     changed = {}
     for name, x in observation._asdict().items():
-        rows = which.view(-1, *(1,) * (x.dim() - 1))
         if name in _LEFT_IS_NEGATIVE:
-            changed[name] = _negated(x, (_LEFT_IS_NEGATIVE[name],), rows)
+            changed[name] = _negated(x, (_LEFT_IS_NEGATIVE[name],), which[:, None])
         else:
-            changed[name] = torch.where(rows, x.flip(-1), x)
+            changed[name] = x.clone()
+            changed[name][which] = x[which].flip(-1)
     return ObservationTensors(**changed)
 
 

@@ -172,7 +172,7 @@ def update(
         network.follow_returns(*peers.moments(flat_returns[:, None]))
     unit = 1.0 if network.value_moments is None else network.value_moments.std
     if config.schedule == "linear":
-        _set_learning_rate(optimiser, config.learning_rate * max(0.0, 1.0 - progress))
+        set_learning_rate(optimiser, config.learning_rate * max(0.0, 1.0 - progress))
 
     parameters = list(network.parameters())
     totals = torch.zeros(4, device=actions.device)
@@ -222,7 +222,7 @@ def update(
         totals += torch.stack([figures[0], figures[1], figures[4], norm])
 
     if config.schedule == "adaptive":
-        _set_learning_rate(optimiser, adapted_learning_rate(learning_rate_of(optimiser), kl, config.target_kl))
+        set_learning_rate(optimiser, adapted_learning_rate(learning_rate_of(optimiser), kl, config.target_kl))
     means = (totals / max(1, gradient_steps)).tolist()
     std = network.log_std.detach().exp().tolist()
     return UpdateStatistics(
@@ -301,6 +301,7 @@ def learning_rate_of(optimiser: torch.optim.Adam) -> float:
     return float(optimiser.param_groups[0]["lr"])
 
 
-def _set_learning_rate(optimiser: torch.optim.Adam, rate: float) -> None:
+def set_learning_rate(optimiser: torch.optim.Adam, rate: float) -> None:
+    """Of all parameters."""
     for group in optimiser.param_groups:
         group["lr"] = rate

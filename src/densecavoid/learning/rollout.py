@@ -70,6 +70,8 @@ class Rollout:
     """The true people, for a privileged critic or a teacher."""
     teacher_mean: Float32[Tensor, "T N 2"] | None = None
     """What the teacher would have done, while there is one."""
+    command_values: Float32[Tensor, "T N C"] | None = None
+    """What each of a grid of commands was worth, in foreseen worlds."""
     episodes: Episodes = field(default_factory=Episodes)
     """Of all processes."""
     reward_terms: dict[str, float] = field(default_factory=dict)

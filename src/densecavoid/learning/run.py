@@ -206,7 +206,7 @@ def _show(trainer: Trainer, record: dict[str, Any], display: Display) -> None:
     progress.steps = trainer.steps
     speed = record["time/steps_per_s"]
     progress.steps_per_s = speed if progress.steps_per_s == 0 else 0.9 * progress.steps_per_s + 0.1 * speed
-    progress.stage, progress.level = trainer.curriculum.stage, trainer.curriculum.level
+    progress.stage, progress.level = trainer.stage, trainer.curriculum.level
     progress.success = {name: (float(np.mean(outcomes)), len(outcomes)) for name, outcomes in trainer.recent.items()}
     progress.reward_terms = {
         name.removeprefix("reward/"): value for name, value in record.items() if name.startswith("reward/")
@@ -214,6 +214,7 @@ def _show(trainer: Trainer, record: dict[str, Any], display: Display) -> None:
     shown = (
         "policy_loss",
         "imitation_loss",
+        "regret",
         "value_loss",
         "explained_variance",
         "kl",
@@ -221,6 +222,6 @@ def _show(trainer: Trainer, record: dict[str, Any], display: Display) -> None:
         "std_angular",
         "learning_rate",
     )
-    keys = {name.split("/")[-1]: name for name in record if name.startswith(("ppo/", "imitation/"))}
+    keys = {name.split("/")[-1]: name for name in record if name.startswith(("ppo/", "imitation/", "guidance/"))}
     progress.learning = {name: record[keys[name]] for name in shown if name in keys}
     display.iteration_done()

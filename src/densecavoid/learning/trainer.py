@@ -17,6 +17,9 @@ from densecavoid.learning.checkpoint import as_tensors
 from densecavoid.learning.collector import Collector, Teacher
 from densecavoid.learning.config import TrainConfig
 from densecavoid.learning.curriculum import Curriculum
+from densecavoid.learning.foreseen_envs import ForeseenVectorEnv
+from densecavoid.learning.foreseen_worlds import ForeseenWorlds
+from densecavoid.learning.guidance import guide
 from densecavoid.learning.imitation import imitate
 from densecavoid.learning.machine import prepare
 from densecavoid.learning.peers import Peers
@@ -66,7 +69,12 @@ class Trainer:
         self.optimiser = ppo.make_optimiser(self.network, config.ppo)
         self.generator = torch.Generator(self.device).manual_seed(config.seed)
         self.curriculum = Curriculum(config.curriculum, config.stages)
-        self.envs = make_envs(config, self._scenario(), peers.rank * config.num_envs)
+        self.ppo_config, self.foreseen = config.ppo, None
+        if config.foresight.steps > 0:
+            self.ppo_config = dataclasses.replace(config.ppo, discount=config.foresight.discount)
+            self.foreseen = ForeseenWorlds(config.foresight, config.sim, config.seed)
+            self.foreseen.fill()
+        self.envs = make_envs(config, self.foreseen or self._scenario(), peers.rank * config.num_envs)
         self.collector = Collector(
             self.envs,
             config.steps_per_rollout,
@@ -101,13 +109,7 @@ class Trainer:
         teacher = self._teacher_now()
         rollout = self.collector.collect(self.network, self.generator, on_step, teacher)
         collected_s = time.perf_counter()
-        settings = (self.network, self.optimiser, rollout, self.config.ppo)
-        if teacher is not None:
-            learned = imitate(*settings, self.config.imitation.weight, self.generator, self.peers)
-        else:
-            progress = self.steps / self.config.total_steps
-            learned = ppo.update(*settings, self.generator, progress, self.peers)
-        name = "imitation" if teacher is not None else "ppo"
+        name, learned = self._learn(rollout, teacher)
         ppo.follow_inputs(self.network, rollout, self.peers)
         updated_s = time.perf_counter()
         self.steps += self.steps_per_iteration
@@ -115,7 +117,9 @@ class Trainer:
         episodes = rollout.episodes
         for scenario, success in zip(episodes.scenario, episodes.success, strict=True):
             self.recent.setdefault(scenario, deque(maxlen=_RECENT_EPISODES)).append(success)
-        if self.curriculum.update(episodes.scenario, episodes.success):
+        if self.foreseen is not None:
+            self.foreseen.renew()
+        elif self.curriculum.update(episodes.scenario, episodes.success):
             self._move_worlds()
         return {
             "iteration": self.iteration,
@@ -123,7 +127,7 @@ class Trainer:
             "time/steps_per_s": self.steps_per_iteration / (updated_s - started_s),
             "time/collect_s": collected_s - started_s,
             "time/update_s": updated_s - collected_s,
-            "curriculum/stage": self.curriculum.stage,
+            "curriculum/stage": self.stage,
             "curriculum/stage_index": self.curriculum.stage_index,
             **{f"curriculum/level/{part.scenario}": part.level for part in self.curriculum.mixture()},
             **_episode_means(rollout),
@@ -133,8 +137,22 @@ class Trainer:
         }
 
     @property
+    def stage(self) -> str:
+        """What is being learned: the curriculum's stage, or in foreseen worlds `guided`, then `foreseen`."""
+        if self.foreseen is None:
+            return self.curriculum.stage
+        return "guided" if self.steps < self.config.foresight.steps else "foreseen"
+
+    @property
     def score(self) -> tuple[int, float, float]:
-        """Grows as training succeeds: stage, then levels, then success rate (-1 until the window is full)."""
+        """Grows as training succeeds: stage, then levels, then success rate (-1 until the window is full). In foreseen
+        worlds the mean of all scenarios' success rates alone.
+        """
+        if self.foreseen is not None:
+            rates = [
+                float(np.mean(recent)) if len(recent) == recent.maxlen else -1.0 for recent in self.recent.values()
+            ]
+            return (0, 0.0, float(np.mean(rates)) if rates and min(rates) >= 0 else -1.0)
         rate = self.curriculum.success_rate if self.curriculum.window_full else -1.0
         return (self.curriculum.stage_index, sum(self.curriculum.levels), rate)
 
@@ -157,6 +175,7 @@ class Trainer:
             },
             "generator": self.generator.get_state(),
             "curriculum": self.curriculum.state_dict(),
+            "foreseen": {} if self.foreseen is None else self.foreseen.state_dict(),
             "recent": {name: [int(outcome) for outcome in outcomes] for name, outcomes in self.recent.items()},
             "worlds": {str(rank): state for rank, state in enumerate(worlds)},
         }
@@ -188,7 +207,10 @@ class Trainer:
             name: deque((bool(outcome) for outcome in outcomes), maxlen=_RECENT_EPISODES)
             for name, outcomes in state["recent"].items()
         }
-        self._move_worlds()
+        if self.foreseen is not None:
+            self.foreseen.load_state_dict(state["foreseen"])
+        else:
+            self._move_worlds()
         own = state["worlds"][str(self.peers.rank)]
         for g, env in enumerate(self.envs):
             env.load_state_dict(own["envs"][str(g)])
@@ -199,6 +221,30 @@ class Trainer:
         self.collector.close()
         for env in self.envs:
             env.close()
+        if self.foreseen is not None:
+            self.foreseen.close()
+
+    def _learn(self, rollout: Rollout, teacher: Teacher | None) -> tuple[str, Any]:
+        """From whom, and what happened."""
+        config, foresight = self.ppo_config, self.config.foresight
+        settings = (self.network, self.optimiser, rollout)
+        if self.foreseen is not None and self.steps < foresight.steps:
+            env = self.envs[0]
+            assert isinstance(env, ForeseenVectorEnv)
+            self.network.set_std(foresight.std(self.steps))
+            done = self.steps / foresight.steps
+            ppo.set_learning_rate(self.optimiser, foresight.learning_rate * (1.0 - 0.5 * done))
+            commands = torch.as_tensor(env.commands, dtype=torch.float32, device=self.device)
+            learned = guide(
+                *settings, commands, foresight.epochs, foresight.evenness, config, self.generator, self.peers
+            )
+            if self.steps + self.steps_per_iteration >= foresight.steps:
+                self.network.set_std(foresight.last_std)
+                ppo.set_learning_rate(self.optimiser, config.learning_rate)
+            return "guidance", learned
+        if teacher is not None:
+            return "imitation", imitate(*settings, config, self.config.imitation.weight, self.generator, self.peers)
+        return "ppo", ppo.update(*settings, config, self.generator, self.steps / self.config.total_steps, self.peers)
 
     def _initial_network(self) -> ActorCritic:
         wanted, source = self.config.network_config, self.config.initial_weights

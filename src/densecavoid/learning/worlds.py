@@ -8,6 +8,8 @@ from typing import Any
 from densecavoid.env.environments import DenseCAvoidVectorEnv
 from densecavoid.env.observation import ObserverConfig
 from densecavoid.learning.config import TrainConfig
+from densecavoid.learning.foreseen_envs import ForeseenVectorEnv
+from densecavoid.learning.foreseen_worlds import ForeseenWorlds
 from densecavoid.learning.variety import vary_body
 from densecavoid.sim.spec import Scenario
 
@@ -36,23 +38,24 @@ def make_training_envs(config: TrainConfig, scenario: Scenario, first_world: int
 
     Args:
         config: settings.
-        scenario: where worlds are drawn from.
+        scenario: where worlds are drawn from; `ForeseenWorlds` reward with what they know.
         first_world: number of the first of them among the worlds of all processes.
     """
     size = config.num_envs // config.num_groups
     network = config.network_config
-    envs = []
+    envs: list[DenseCAvoidVectorEnv] = []
     for first in range(first_world, first_world + config.num_envs, size):
         sim = vary_body(config.sim, config.seed, first // size) if config.variety.bodies > 0 else config.sim
-        env = DenseCAvoidVectorEnv(
-            scenario,
-            size,
-            sim=sim,
-            observer=dataclasses.replace(observer_config(config), lidar=sim.lidar, camera=sim.camera),
-            reward=config.reward,
-            seed=config.seed,
-            first_world=first,
-            true_people=network.num_people if network.privileged or config.imitation.teacher is not None else 0,
-        )
-        envs.append(env)
+        settings: dict[str, Any] = {
+            "sim": sim,
+            "observer": dataclasses.replace(observer_config(config), lidar=sim.lidar, camera=sim.camera),
+            "reward": config.reward,
+            "seed": config.seed,
+            "first_world": first,
+            "true_people": network.num_people if network.privileged or config.imitation.teacher is not None else 0,
+        }
+        if isinstance(scenario, ForeseenWorlds):
+            envs.append(ForeseenVectorEnv(scenario, size, **settings))
+        else:
+            envs.append(DenseCAvoidVectorEnv(scenario, size, **settings))
     return envs

@@ -287,6 +287,11 @@ class ActorCritic(nn.Module):
             self.critic_output.weight.mul_(old_std / moments.std)
             self.critic_output.bias.mul_(old_std).add_(old_mean - moments.mean).div_(moments.std)
 
+    def set_std(self, std: tuple[float, float]) -> None:
+        """The policy's standard deviations (m/s, rad/s), as they are from now on."""
+        with torch.no_grad():
+            self.log_std.copy_(torch.tensor(std).log())
+
     def raise_std_to_floor(self) -> None:
         """Call after each optimiser step. A clamp in the forward pass would cut the gradient that could raise it."""
         with torch.no_grad():

@@ -22,7 +22,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def source_digest(*parts: str) -> str:
-    """Of the source of the package's rooms and files (`sim`, `benchmark/planner.py`, ...): what was made by other
+    """Of the source of the package's rooms and files (`sim`, `foresight/planner.py`, ...): what was made by other
     versions of them is not to be used again."""
     source = hashlib.sha256()
     for part in parts:

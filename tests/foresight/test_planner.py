@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from densecavoid.benchmark import lattice
-from densecavoid.benchmark.future import foresee, solid_bodies
 from densecavoid.benchmark.navigators import make_navigator
-from densecavoid.benchmark.planner import find_way, judge_worlds, terrain_of
 from densecavoid.benchmark.rollout import run_episodes
+from densecavoid.foresight import lattice
+from densecavoid.foresight.future import foresee, solid_bodies
+from densecavoid.foresight.planner import find_way, judge_worlds, terrain_of
 from densecavoid.frames import Command
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.config import SimConfig

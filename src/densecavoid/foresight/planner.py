@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from densecavoid.benchmark import lattice
-from densecavoid.benchmark.future import Future, foresee, solid_bodies, unheeding
+from densecavoid.foresight import lattice
+from densecavoid.foresight.future import Future, foresee, solid_bodies, unheeding
 from densecavoid.frames import Command, require
 from densecavoid.scenarios.free_space import clearance_grid_m
 from densecavoid.sim.config import SimConfig

@@ -1,0 +1,124 @@
+"""Learning directly from what every command is worth (`foreseen_envs`), as a head start for PPO.
+
+The policy drives; wherever that leads, it is made likelier to do what is worth much there, over all commands at once
+and not only the one that it tried (Ross and Bagnell 2014, AggreVaTe; Sun et al. 2017). What commands are worth supposes
+that the future is known from the next moment on: to wait and see never costs much. PPO mends that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from densecavoid.frames import require
+from densecavoid.learning.gae import estimate_advantages
+from densecavoid.learning.mirror import mirror_action, mirror_observation, mirror_people
+from densecavoid.learning.peers import Peers
+from densecavoid.learning.ppo import PPOConfig, TrainingDivergedError, learning_rate_of, step, value_loss
+from densecavoid.learning.rollout import Rollout, take
+from densecavoid.learning.shuffling import minibatches
+from densecavoid.policy.network import ActorCritic
+
+
+@dataclass(frozen=True)
+class GuidanceStatistics:
+    """What happened in one update; means over its minibatches."""
+
+    regret: float
+    """By how much what the policy does is worth less than the best command, as a share of the range of commands."""
+    value_loss: float
+    gradient_steps: int
+    learning_rate: float
+    std_linear: float
+    """m/s"""
+    std_angular: float
+    """rad/s"""
+
+
+def expected_regret(
+    mean: Float[Tensor, "B 2"],
+    std: Float[Tensor, "2"],
+    commands: Float[Tensor, "#B C 2"],
+    values: Float[Tensor, "B C"],
+    evenness: float,
+) -> Float[Tensor, "B"]:
+    """How much worse than the best a Gaussian policy does, whose commands are taken as the grid's.
+
+    Args:
+        mean, std: of the policy.
+        commands: the grid; the probability of each is the density there, all together being 1.
+        values: what each is worth.
+        evenness: added to the range of each situation's values, by which its regrets are divided.
+    """
+    apart = (commands - mean[:, None]) / std
+    probability = torch.softmax(-0.5 * apart.square().sum(dim=2), dim=1)
+    best, worst = values.amax(dim=1, keepdim=True), values.amin(dim=1, keepdim=True)
+    return (probability * (best - values) / (evenness + best - worst)).sum(dim=1)
+
+
+def guide(
+    network: ActorCritic,
+    optimiser: torch.optim.Adam,
+    rollout: Rollout,
+    commands: Float[Tensor, "C 2"],
+    epochs: int,
+    evenness: float,
+    config: PPOConfig,
+    generator: torch.Generator,
+    peers: Peers = Peers(),  # noqa: B008
+) -> GuidanceStatistics:
+    """Moves the policy's mean towards what is worth more, and the critic towards the returns.
+
+    Args:
+        network: changed in place; its standard deviation stays.
+        optimiser: over the network's parameters.
+        rollout: collected in worlds that tell what `commands` are worth.
+        commands: the grid of the rollout's `command_values`.
+        epochs: passes over the rollout.
+        evenness: as in `expected_regret`.
+        config: of it, the critic's settings, minibatches and gradient norm.
+        generator, peers: as in `ppo.update`.
+
+    Raises:
+        TrainingDivergedError, PeerLostError: as `ppo.update`.
+    """
+    require(rollout.command_values is not None, "Rollout.command_values", None, "a rollout in foreseen worlds")
+    assert rollout.command_values is not None
+    _, returns = estimate_advantages(
+        rollout.reward,
+        rollout.value,
+        rollout.next_value,
+        rollout.terminated,
+        rollout.truncated,
+        discount=config.discount,
+        trace_decay=config.trace_decay,
+    )
+    flat_returns, worth = returns.flatten(), rollout.command_values.flatten(0, 1)
+    observations, old_values = rollout.flat_observation(), rollout.value.flatten()
+    if network.value_moments is not None:
+        network.follow_returns(*peers.moments(flat_returns[:, None]))
+    unit = 1.0 if network.value_moments is None else network.value_moments.std
+    parameters, std = list(network.parameters()), network.log_std.detach().exp()
+    everything = torch.ones(len(commands), dtype=torch.bool, device=commands.device)
+    totals, gradient_steps = torch.zeros(2, device=worth.device), 0
+    for index, size, other_half in minibatches(rollout, epochs, config.minibatch_size, generator, peers):
+        seen, people = take(observations, rollout.people, index)
+        # Left and right are exchanged in what is seen of half of them, and so in what their values are of.
+        grid = torch.where(other_half[:, None, None], mirror_action(commands, everything), commands)
+        seen = mirror_observation(seen, other_half)
+        people = None if people is None else mirror_people(people, other_half)
+        output = network(seen, people)
+        regret = expected_regret(output.mean, std, grid, worth[index], evenness).sum() / size
+        wrong = value_loss(output.value / unit, old_values[index] / unit, flat_returns[index] / unit, 0.0).sum() / size
+        figures = peers.sum(torch.stack([regret.detach(), wrong.detach()]))
+        if not math.isfinite(float(figures.sum())):
+            raise TrainingDivergedError(f"the regret and the critic's loss are {figures.tolist()}")
+        step(optimiser, regret + config.value_weight * wrong, parameters, config.max_gradient_norm, peers)
+        totals += figures
+        gradient_steps += 1
+    means, (linear, angular) = (totals / gradient_steps).tolist(), std.tolist()
+    return GuidanceStatistics(means[0], means[1], gradient_steps, learning_rate_of(optimiser), linear, angular)
