@@ -52,7 +52,8 @@ def base(run_dir: Path) -> TrainConfig:
 
 
 def variants() -> dict[str, Callable[[TrainConfig], TrainConfig]]:
-    """One change each."""
+    """One change each, or what belongs together."""
+    from densecavoid.learning.foreseen_worlds import ForesightConfig
 
     def ppo(**changes: Any) -> Callable[[TrainConfig], TrainConfig]:
         return lambda config: replace(config, ppo=replace(config.ppo, **changes))
@@ -78,6 +79,12 @@ def variants() -> dict[str, Callable[[TrainConfig], TrainConfig]]:
         "strict-levels": curriculum(threshold=0.85),
         "more-worlds": lambda config: replace(config, num_envs=128, steps_per_rollout=32),
         "long-prediction": lambda config: replace(config, prediction_horizon_s=1.6),
+        "foresight": lambda config: replace(
+            config,
+            num_envs=128,
+            foresight=ForesightConfig(steps=3_000_000),
+            ppo=replace(config.ppo, learning_rate=1e-4),
+        ),
         "wide-berth": lambda config: replace(config, reward=replace(config.reward, safe_distance_threshold_m=1.2)),
     }
 
@@ -141,7 +148,8 @@ def learner_of_ours(config: TrainConfig) -> Callable[[int], tuple[int, float, Na
         else:
             result = train(replace(config, total_steps=total))
         records = [json.loads(line) for line in folder.metrics_file.read_text(encoding="utf-8").splitlines()]
-        seconds = sum(record["time/collect_s"] + record["time/update_s"] for record in records)
+        parts = ("time/collect_s", "time/update_s", "time/worlds_s")
+        seconds = sum(record[part] for record in records for part in parts)
         return result.steps, seconds / 60, load_policy(str(result.policy))
 
     return learn

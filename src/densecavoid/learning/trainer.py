@@ -121,12 +121,14 @@ class Trainer:
             self.foreseen.renew()
         elif self.curriculum.update(episodes.scenario, episodes.success):
             self._move_worlds()
+        ended_s = time.perf_counter()
         return {
             "iteration": self.iteration,
             "steps": self.steps,
-            "time/steps_per_s": self.steps_per_iteration / (updated_s - started_s),
+            "time/steps_per_s": self.steps_per_iteration / (ended_s - started_s),
             "time/collect_s": collected_s - started_s,
             "time/update_s": updated_s - collected_s,
+            "time/worlds_s": ended_s - updated_s,
             "curriculum/stage": self.stage,
             "curriculum/stage_index": self.curriculum.stage_index,
             **{f"curriculum/level/{part.scenario}": part.level for part in self.curriculum.mixture()},
