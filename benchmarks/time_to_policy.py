@@ -82,7 +82,7 @@ def variants() -> dict[str, Callable[[TrainConfig], TrainConfig]]:
         "foresight": lambda config: replace(
             config,
             num_envs=128,
-            foresight=ForesightConfig(steps=3_000_000),
+            foresight=ForesightConfig(steps=1_500_000),
             ppo=replace(config.ppo, learning_rate=1e-4),
         ),
         "wide-berth": lambda config: replace(config, reward=replace(config.reward, safe_distance_threshold_m=1.2)),

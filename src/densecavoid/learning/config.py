@@ -147,8 +147,6 @@ class TrainConfig:
             config = replace(config, shared_encoder=self.critic == "shared")
         if self.privileged_critic and config.people == "unseen":
             config = replace(config, people="critic")
-        if self.foresight.steps > 0:
-            config = replace(config, min_std=self.foresight.min_std)
         return replace(
             config.with_robot(robot.max_linear_velocity, robot.max_angular_velocity),
             normalise_inputs=self.normalise_inputs or config.normalise_inputs,

@@ -160,7 +160,7 @@ def _run_all(trainer: Trainer, folder: RunFolder, resume: bool, console: Console
             )
     curriculum = trainer.curriculum
     finished = trainer.steps >= config.total_steps
-    return TrainResult(trainer.steps, finished, curriculum.stage, curriculum.level, curriculum.success_rate, policy)
+    return TrainResult(trainer.steps, finished, trainer.stage, curriculum.level, curriculum.success_rate, policy)
 
 
 def _title(config: TrainConfig, peers: Peers) -> str:
