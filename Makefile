@@ -7,8 +7,12 @@ NAVIGATOR ?= densecavoid
 SEED ?= 3
 OUT ?= runs/demo
 PYTEST_ARGS ?=
+PROCESSES ?= 2
 EPISODES ?= 500
 RESULTS ?= runs/results
+
+# Files of tests are shared out whole: what a file sets up is set up once.
+SPREAD = -n $(PROCESSES) --dist loadfile
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -39,11 +43,11 @@ setup: $(BASE_STAMP) ## make .venv and install the base package (no torch)
 demo: $(BASE_STAMP) ## set up, then one robot in one crowd: SCENARIO, NAVIGATOR, SEED, OUT
 	$(BIN)/densecavoid run --scenario $(SCENARIO) --navigator $(NAVIGATOR) --seed $(SEED) --out $(OUT)
 
-test: $(TEST_STAMP) ## set up with torch, then all tests: PYTEST_ARGS
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+test: $(TEST_STAMP) ## set up with torch, then all tests: PYTEST_ARGS, PROCESSES
+	$(BIN)/python -m pytest $(SPREAD) $(PYTEST_ARGS)
 
 quick: $(TEST_STAMP) ## the tests without the slow ones
-	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest $(SPREAD) -m "not slow" $(PYTEST_ARGS)
 
 test-ros: $(ROS_STAMP) ## install ROS 1 (apt, as root) and ROS 2 (wheels), then drive both nodes over them
 	DENSECAVOID_ROS1=$(abspath $(BIN)/python) DENSECAVOID_ROS2=$(abspath $(ROS2)/bin/python) $(BIN)/python -m pytest tests/ros $(PYTEST_ARGS)
