@@ -62,6 +62,10 @@ class EvaluateConfig:
             require(getattr(self, name) >= 2, f"EvaluateConfig.{name}", getattr(self, name), "at least 2")
 
 
+_FILE_WIDTH = 200
+"""Columns of a file or a pipe, which tell of no width of their own: no table is cut."""
+
+
 def evaluate(config: EvaluateConfig, navigator: Navigator, console: Console | None = None) -> dict[str, Any]:
     """Measures everything, prints a table after each part, and draws.
 
@@ -75,6 +79,8 @@ def evaluate(config: EvaluateConfig, navigator: Navigator, console: Console | No
         `.hermes`, `.tracked` by name; `frame.iou_0.1`, ... of the default predictor and `frame.by_predictor`; `forms`.
     """
     console = console or Console()
+    if not console.is_terminal:
+        console.width = max(console.width, _FILE_WIDTH)
     config.out.mkdir(parents=True, exist_ok=True)
     data = _recordings(config.data)
     results: dict[str, Any] = {}
