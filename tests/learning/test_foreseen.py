@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -111,6 +113,20 @@ def test_worlds_are_renewed_oldest_first_and_come_back_by_number() -> None:
     finally:
         made.close()
         again.close()
+
+
+def test_signals_that_stop_a_run_leave_its_builders_alive() -> None:
+    made = ForeseenWorlds(dataclasses.replace(FEW, worlds=2), SIM, seed=0)
+    try:
+        made.fill()
+        for pid in list(made._builders._processes):
+            os.kill(pid, signal.SIGINT)
+            os.kill(pid, signal.SIGTERM)
+        for _ in range(3):
+            made.renew()
+        assert made.state_dict()["numbers"] == [4, 3]
+    finally:
+        made.close()
 
 
 def test_too_little_memory_is_said() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+import signal
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -128,6 +129,12 @@ class ForeseenWorld:
     starts: list[tuple[float, float, float]]
 
 
+def _leave_stopping_to_the_run() -> None:
+    """A terminal's Ctrl-C reaches all processes: the run saves first, and needs its builders for that."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+
+
 def build_world(seed: int, number: int, config: ForesightConfig, sim: SimConfig) -> ForeseenWorld:
     """The world of that number; drawn again until there is somewhere to begin."""
     worlds = AnyStage(config.shares, config.levels)
@@ -174,7 +181,9 @@ class ForeseenWorlds:
         self._next_number = self._next_slot = 0
         # Not forked: a copy of a process with threads may hang.
         self._builders = ProcessPoolExecutor(
-            config.processes or available_threads(), mp_context=multiprocessing.get_context("spawn")
+            config.processes or available_threads(),
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_leave_stopping_to_the_run,
         )
         self._building: deque[Future[ForeseenWorld]] = deque()
 
