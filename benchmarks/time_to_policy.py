@@ -81,7 +81,6 @@ def variants() -> dict[str, Callable[[TrainConfig], TrainConfig]]:
         "long-prediction": lambda config: replace(config, prediction_horizon_s=1.6),
         "foresight": lambda config: replace(
             config,
-            num_envs=128,
             foresight=ForesightConfig(steps=1_500_000),
             ppo=replace(config.ppo, learning_rate=1e-4),
         ),
@@ -149,7 +148,7 @@ def learner_of_ours(config: TrainConfig) -> Callable[[int], tuple[int, float, Na
             result = train(replace(config, total_steps=total))
         records = [json.loads(line) for line in folder.metrics_file.read_text(encoding="utf-8").splitlines()]
         parts = ("time/collect_s", "time/update_s", "time/worlds_s")
-        seconds = sum(record[part] for record in records for part in parts)
+        seconds = sum(record.get(part, 0.0) for record in records for part in parts)  # older runs know two
         return result.steps, seconds / 60, load_policy(str(result.policy))
 
     return learn

@@ -18,10 +18,11 @@ from densecavoid.frames import Command  # noqa: E402
 from densecavoid.learning.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
 from densecavoid.learning.config import TrainConfig  # noqa: E402
 from densecavoid.learning.foreseen_envs import UNIT, ForeseenVectorEnv  # noqa: E402
-from densecavoid.learning.foreseen_worlds import AnyStage, ForeseenWorlds, ForesightConfig, build_world  # noqa: E402
+from densecavoid.learning.foreseen_worlds import AnyLevel, ForeseenWorlds, ForesightConfig, build_world  # noqa: E402
 from densecavoid.learning.guidance import expected_regret, guide  # noqa: E402
 from densecavoid.learning.trainer import Trainer  # noqa: E402
 from densecavoid.policy.network import PRESETS, ActorCritic  # noqa: E402
+from densecavoid.scenarios import TRAINING  # noqa: E402
 from densecavoid.sim.config import SimConfig  # noqa: E402
 from densecavoid.sim.people import STANDING  # noqa: E402
 from densecavoid.sim.world import Simulator  # noqa: E402
@@ -41,9 +42,9 @@ def worlds() -> Iterator[ForeseenWorlds]:
 def test_the_rewards_of_an_episode_add_up_to_its_end_less_its_beginning(worlds: ForeseenWorlds) -> None:
     env = ForeseenVectorEnv(worlds, 6, sim=SIM, seed=1)
     env.reset(seed=1)
-    rng, gamma = np.random.default_rng(0), FEW.discount
+    rng, gamma = np.random.default_rng(0), FEW.values.discount
     first, added, ended = env._value.copy(), np.zeros(6), 0
-    kept, age = np.zeros(6), np.zeros(6)
+    age = np.zeros(6)
     for _ in range(300):
         _, reward, terminated, truncated, infos = env.step(
             np.stack([rng.uniform(0.3, 1.0, 6), rng.uniform(-0.4, 0.4, 6)], axis=1).astype(np.float32)
@@ -56,7 +57,6 @@ def test_the_rewards_of_an_episode_add_up_to_its_end_less_its_beginning(worlds: 
             end = 1.0 if outcome["success"][b] else FEW.values.collision if outcome["collision"][b] else 0.0
             assert added[b] == pytest.approx(UNIT * (gamma ** (age[b] - 1) * end - first[b]), abs=1e-3)
             first[b], added[b], age[b], ended = env._value[b], 0.0, 0.0, ended + 1
-            kept[b] += 1
     assert ended >= 6
 
 
@@ -86,8 +86,14 @@ def test_a_world_is_the_same_by_number_and_its_people_do_what_was_foreseen() -> 
     )
 
 
+def test_a_setting_under_which_no_world_can_be_built_is_named() -> None:
+    hasty = dataclasses.replace(FEW, values=dataclasses.replace(FEW.values, hold_s=2.0))
+    with pytest.raises(ValueError, match=r"the last: FieldConfig\.hold_s is 2\.0, expected shorter than"):
+        build_world(3, 1, hasty, SIM)
+
+
 def test_those_who_would_appear_stand_there_from_the_start() -> None:
-    scenario = AnyStage((0.0, 0.0, 0.0, 1.0), (1.0, 1.0))
+    scenario = AnyLevel(TRAINING["dense-random-pedestrians"], (1.0, 1.0))
     specs = [scenario.spawn(np.random.default_rng(seed)) for seed in range(30)]
     lines = [spec for spec in specs if (spec.crowd.behaviour == STANDING).all()]
     assert lines and all(spec.appearance is None for spec in specs)

@@ -105,9 +105,7 @@ def test_every_variant_is_one_change_from_the_base(tmp_path: Path) -> None:
     for name, change in time_to_policy.variants().items():
         changed = change(base)
         different = [field for field in vars(base) if getattr(base, field) != getattr(changed, field)]
-        # Guided training has settings of its own.
-        most = 3 if name == "foresight" else 2
-        assert different == [] if name == "base" else 1 <= len(different) <= most, name
+        assert different == [] if name == "base" else 1 <= len(different) <= 2, name
 
 
 @pytest.mark.slow

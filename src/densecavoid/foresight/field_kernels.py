@@ -11,6 +11,8 @@ import math
 import numpy as np
 
 from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim.geometry import mark_disc
+from densecavoid.sim.robot import drive
 
 FRAME = 6
 """Cells; a robot moves less far in a step."""
@@ -21,6 +23,21 @@ FREE, BLOCKED, GOAL = 0, 1, 2
 """What a cell is."""
 NEAR = 2
 """What a cell beside a person is; `BLOCKED` where the robot would hit them."""
+
+
+@kernel
+def steps_of_commands(commands, headings, hold_s, cell):
+    """Where each command [C, 3] (m/s, rad/s, headings turned) leads from each heading when it is held: [H, C, 3] cells
+    along x and y, and the heading that follows.
+    """
+    steps, pose = np.zeros((headings, commands.shape[0], 3)), np.zeros(3)
+    for h in range(headings):
+        for c in range(commands.shape[0]):
+            pose[0], pose[1], pose[2] = 0.0, 0.0, 2.0 * math.pi * h / headings
+            drive(pose, commands[c, 0], commands[c, 1], hold_s)
+            steps[h, c, 0], steps[h, c, 1] = pose[0] / cell, pose[1] / cell
+            steps[h, c, 2] = (h + int(commands[c, 2])) % headings
+    return steps
 
 
 @kernel
@@ -92,20 +109,9 @@ def mark_people(people, bodies, x0, y0, cell, reach, margin):
     """
     people[:] = FREE
     for n in range(bodies.shape[0]):
-        if bodies[n, 2] <= 0.0:
-            continue
-        x, y = bodies[n, 0], bodies[n, 1]
-        hit, near = bodies[n, 2] + reach, bodies[n, 2] + reach + margin
-        first_i, last_i = max(int((x - near - x0) / cell), 0), min(int((x + near - x0) / cell) + 1, people.shape[0])
-        first_j, last_j = max(int((y - near - y0) / cell), 0), min(int((y + near - y0) / cell) + 1, people.shape[1])
-        for i in range(first_i, last_i):
-            for j in range(first_j, last_j):
-                off_x, off_y = x0 + (i + 0.5) * cell - x, y0 + (j + 0.5) * cell - y
-                distance_2 = off_x * off_x + off_y * off_y
-                if distance_2 < hit * hit:
-                    people[i, j] = BLOCKED
-                elif distance_2 < near * near and people[i, j] == FREE:
-                    people[i, j] = NEAR
+        if bodies[n, 2] > 0.0:
+            hit = bodies[n, 2] + reach
+            mark_disc(people, bodies[n, 0], bodies[n, 1], hit, hit + margin, x0, y0, cell)
 
 
 @kernel
@@ -179,17 +185,15 @@ def values_of_commands(flat, shapes, grids, outside, which, poses, steps, comman
         hold_s: length of a moment.
         out: f64 [B, C], written.
     """
+    pose = np.zeros(3)
     for b in range(len(which)):
         shape, grid = shapes[which[b]], grids[which[b]]
-        x, y, yaw = poses[b, 0], poses[b, 1], poses[b, 2]
         for c in range(commands.shape[0]):
+            pose[0], pose[1], pose[2] = poses[b, 0], poses[b, 1], poses[b, 2]
             value = 0.0
             for half in range(1, 3):
-                turn, way = commands[c, 1] * hold_s * half / 2, commands[c, 0] * hold_s * half / 2
-                chord = way if abs(turn) < 1e-6 else way * math.sin(turn / 2) / (turn / 2)
-                direction = yaw + turn / 2
-                at_x, at_y = x + chord * math.cos(direction), y + chord * math.sin(direction)
-                value = _value_at(flat, shape, grid, outside, at_x, at_y, yaw + turn, steps[b] + half / 2)
+                drive(pose, commands[c, 0], commands[c, 1], hold_s / 2)
+                value = _value_at(flat, shape, grid, outside, pose[0], pose[1], pose[2], steps[b] + half / 2)
                 # Between the cell that is hit and its neighbours values rise quickly.
                 if value < 0.8 * outside:
                     break

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim.geometry import mark_disc
 from densecavoid.sim.robot import drive
 
 CELL_M = 0.05
@@ -89,23 +90,6 @@ def shortest_ways(free, goal_i, goal_j, cell):
 
 
 @inner
-def _mark(blocked, x, y, radius, x0, y0):
-    """Marks the cells that a disc grown by the robot's distance covers: 1 wholly, 2 in part."""
-    inside, reach = max(radius - _HALF_DIAGONAL, 0.0), radius + _HALF_DIAGONAL
-    first_i, last_i = max(int((x - reach - x0) / CELL_M), 0), min(int((x + reach - x0) / CELL_M) + 1, blocked.shape[0])
-    first_j, last_j = max(int((y - reach - y0) / CELL_M), 0), min(int((y + reach - y0) / CELL_M) + 1, blocked.shape[1])
-    for i in range(first_i, last_i):
-        off_x = x0 + (i + 0.5) * CELL_M - x
-        for j in range(first_j, last_j):
-            off_y = y0 + (j + 0.5) * CELL_M - y
-            distance_2 = off_x * off_x + off_y * off_y
-            if distance_2 < inside * inside:
-                blocked[i, j] = 1
-            elif distance_2 < reach * reach and blocked[i, j] == 0:
-                blocked[i, j] = 2
-
-
-@inner
 def _is_free(x, y, ground, blocked, bodies, t, collision_m):
     """Whether the robot may be at a place at instant t of `bodies` [T, N, 3], whose cells `blocked` has."""
     i, j = int((x - ground.x0) / CELL_M), int((y - ground.y0) / CELL_M)
@@ -173,7 +157,10 @@ def search(start, goal, bodies, stay, ground, rules, commands, cell_m, headings,
             for n in range(bodies.shape[1]):
                 x, y, radius = bodies[seen, n, 0], bodies[seen, n, 1], bodies[seen, n, 2]
                 if radius > 0.0:
-                    _mark(blocked[k], x, y, radius + rules.collision_m, ground.x0, ground.y0)
+                    # What the disc covers wholly is surely not free, what it covers in part has to be computed.
+                    inside = max(radius + rules.collision_m - _HALF_DIAGONAL, 0.0)
+                    reach = radius + rules.collision_m + _HALF_DIAGONAL
+                    mark_disc(blocked[k], x, y, inside, reach, ground.x0, ground.y0, CELL_M)
         following = np.empty((4096, 3))
         count = 0
         time_left = (rules.max_steps - before - rules.steps) * rules.dt_s

@@ -8,7 +8,6 @@ policy takes it, not only along one way (`planner`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,14 +18,6 @@ from densecavoid.foresight.planner import MARGIN_M
 from densecavoid.frames import require
 from densecavoid.scenarios.free_space import Area, clearance_grid_m
 from densecavoid.sim.config import SimConfig
-from densecavoid.sim.geometry import (
-    BOX_COS,
-    BOX_HALF_LENGTH,
-    BOX_HALF_WIDTH,
-    BOX_SIN,
-    BOX_X,
-    BOX_Y,
-)
 from densecavoid.sim.spec import WorldSpec
 
 SPEEDS, TURNS = (1.0, 0.5, 0.0), (0.0, 1.0, -1.0)
@@ -47,8 +38,8 @@ class FieldConfig:
     """A moment: how long a command is held."""
     horizon_s: float = 36.0
     """Until then people are where they will be; afterwards nobody is left."""
-    discount: float = 0.99
-    """Of a moment."""
+    discount: float = 0.9975
+    """Of a control step."""
     slip: float = 0.1
     """Share of moments in which any command is carried out instead: narrow ways are worth less than wide ones."""
     collision: float = -0.5
@@ -133,9 +124,11 @@ def value_field(
     best, total, cost = np.zeros(framed, np.float32), np.zeros(framed, np.float32), cost.astype(np.float32)
     people = np.zeros(ground.shape, np.uint8)
 
+    discount = config.discount ** (config.hold_s / sim.control_dt_s)
+
     def one_moment_before() -> float:
         kernels.back_up(values, best, total, steps)
-        weights = (config.discount, config.slip, config.collision, config.near_cost)
+        weights = (discount, config.slip, config.collision, config.near_cost)
         return kernels.settle(values, best, total, ground, cost, people, steps.shape[1], *weights)
 
     def place_people(row: int) -> None:
@@ -162,22 +155,19 @@ def value_field(
 class FieldStack:
     """The fields of several worlds in one block of memory, to be looked up for many robots at once."""
 
-    def __init__(self, slots: int, numbers: int, sim: SimConfig, config: FieldConfig) -> None:
+    def __init__(self, slots: int, numbers: int, config: FieldConfig) -> None:
         """
         Args:
             slots: most fields at once.
             numbers: most values of all of them together; two bytes each.
-            sim: for the length of a control step.
             config: that the fields were made with.
         """
         require(slots >= 1, "slots", slots, "at least 1")
         self.config = config
         self._flat = np.zeros(numbers, np.int16)
+        # Where each begins, and its moments, headings, rows and columns; without moments: nothing is there.
         self._shapes = np.zeros((slots, 5), np.int64)
         self._grids = np.ones((slots, 3))
-        self._first = np.zeros(slots, np.int64)
-        self._size = np.zeros(slots, np.int64)
-        self._dt_s = sim.control_dt_s
 
     def put(self, slot: int, field: ValueField) -> None:
         """Takes the place of what is in a slot.
@@ -186,10 +176,9 @@ class FieldStack:
             MemoryError: if there is no stretch of memory left that is long enough; the slot is then empty.
         """
         values = field.values.reshape(-1)
-        self._size[slot] = 0
+        self._shapes[slot] = 0
         first = self._gap(len(values))
         self._flat[first : first + len(values)] = values
-        self._first[slot], self._size[slot] = first, len(values)
         self._shapes[slot] = first, *field.values.shape
         self._grids[slot] = field.grid
 
@@ -220,34 +209,24 @@ class FieldStack:
 
     def _gap(self, size: int) -> int:
         """Where the first free stretch of that length begins."""
-        used = np.flatnonzero(self._size)
-        used = used[np.argsort(self._first[used])]
+        sizes = self._shapes[:, 1:].prod(axis=1)
+        used = np.flatnonzero(sizes)
         first = 0
-        for slot in used:
-            if self._first[slot] - first >= size:
+        for slot in used[np.argsort(self._shapes[used, 0])]:
+            if self._shapes[slot, 0] - first >= size:
                 return first
-            first = int(self._first[slot] + self._size[slot])
+            first = int(self._shapes[slot, 0] + sizes[slot])
         if len(self._flat) - first < size:
             raise MemoryError(f"no room for {size:,} values among {len(self._flat):,}")
         return first
-
-
-def command_grid(sim: SimConfig, speeds: Sequence[float], turns: Sequence[float]) -> Float[np.ndarray, "C 2"]:
-    """All pairs of linear and angular velocities, as shares of the robot's greatest; turns innermost."""
-    robot = sim.robot
-    return np.array([(v * robot.max_linear_velocity, w * robot.max_angular_velocity) for v in speeds for w in turns])
 
 
 def _area_of(spec: WorldSpec) -> Area:
     """The rectangle in which the robot may want to be."""
     ends = np.array([spec.start_pose[:2], spec.goal])
     low, high = ends.min(axis=0) - _BEYOND_M, ends.max(axis=0) + _BEYOND_M
-    boxes = spec.floor_plan.packed().boxes
-    if len(boxes) > 0:
-        cos, sin = np.abs(boxes[:, BOX_COS]), np.abs(boxes[:, BOX_SIN])
-        length, width = boxes[:, BOX_HALF_LENGTH], boxes[:, BOX_HALF_WIDTH]
-        reach = np.stack([cos * length + sin * width, sin * length + cos * width], axis=1)
-        centre = boxes[:, [BOX_X, BOX_Y]]
+    centre, reach = spec.floor_plan.boxes[:, :2], spec.floor_plan.box_reach
+    if len(centre) > 0:
         first, last = (centre - reach).min(axis=0), (centre + reach).max(axis=0)
         for axis in (0, 1):
             if last[axis] - first[axis] < _LARGEST_ROOM_M:
@@ -278,15 +257,5 @@ def _steps(max_linear: float, max_angular: float, hold_s: float, cell: float) ->
         hold_s,
         f"shorter than {kernels.FRAME - 1} cells of {cell:.2f} m at {max_linear} m/s",
     )
-    steps = np.zeros((headings, len(SPEEDS) * len(TURNS), 3))
-    for h in range(headings):
-        for c, (speed, turns) in enumerate((speed, turns) for speed in SPEEDS for turns in TURNS):
-            angle, way = turns * turn, speed * max_linear * hold_s
-            chord = way if angle == 0.0 else way * math.sin(angle / 2) / (angle / 2)
-            direction = h * turn + angle / 2
-            steps[h, c] = (
-                chord * math.cos(direction) / cell,
-                chord * math.sin(direction) / cell,
-                (h + round(turns)) % headings,
-            )
-    return steps
+    commands = [(v * max_linear, w * turn / hold_s, w) for v in SPEEDS for w in TURNS]
+    return kernels.steps_of_commands(np.array(commands), headings, hold_s, cell)

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from densecavoid.env.environments import DenseCAvoidVectorEnv
-from densecavoid.foresight.value_field import command_grid
 from densecavoid.frames import require
 from densecavoid.learning.foreseen_worlds import ForeseenWorlds
 
 UNIT = 20.0
 """Reward of the goal, as the paper's (`RewardConfig.goal`)."""
-SPEEDS, TURNS = (0.0, 0.25, 0.5, 0.75, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
-"""Of the commands whose values observations have, as shares of the robot's greatest."""
+COMMANDS = np.array([(v, w) for v in (0.0, 0.25, 0.5, 0.75, 1.0) for w in (-1.0, -0.5, 0.0, 0.5, 1.0)])
+"""Those whose values observations have: linear and angular velocity as shares of the robot's greatest."""
 
 
 class ForeseenVectorEnv(DenseCAvoidVectorEnv):
@@ -43,7 +42,7 @@ class ForeseenVectorEnv(DenseCAvoidVectorEnv):
             "'scripted': who reacts has no future of their own",
         )
         self.worlds = worlds
-        self.commands = command_grid(sim, SPEEDS, TURNS)
+        self.commands = COMMANDS * [sim.robot.max_linear_velocity, sim.robot.max_angular_velocity]
         self._slots = np.zeros(num_envs, np.int64)
         self._value = np.zeros(num_envs)
 
@@ -65,10 +64,11 @@ class ForeseenVectorEnv(DenseCAvoidVectorEnv):
         ended = np.flatnonzero(terminated | truncated)
         self._begin(ended)
         self._value = self._values()
-        after = self.worlds.config.discount * self._value
+        values = self.worlds.config.values
+        after = values.discount * self._value
         if len(ended) > 0:
             outcome = infos["episode"]
-            collision = np.where(outcome["collision"], self.worlds.config.values.collision, 0.0)
+            collision = np.where(outcome["collision"], values.collision, 0.0)
             after[ended] = np.where(outcome["success"], 1.0, collision)[ended]
         reward = (UNIT * (after - before)).astype(np.float32)
         # Nothing is worth anything once time is up: what a state could still have brought is not to be added.

@@ -10,7 +10,6 @@ import math
 import multiprocessing
 import signal
 from collections import deque
-from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -21,6 +20,8 @@ from densecavoid.foresight.future import foresee, unheeding
 from densecavoid.foresight.value_field import FieldConfig, FieldStack, ValueField, value_field
 from densecavoid.frames import require
 from densecavoid.scenarios import TRAINING
+from densecavoid.scenarios.mixture import Mixture
+from densecavoid.scenarios.registry import TrainingScenario
 from densecavoid.sim._jit import available_threads
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.spec import WorldSpec
@@ -29,6 +30,7 @@ _STARTS, _WORTH_STARTING = 12, 0.15
 _FROM_PERSON_M, _FROM_GOAL_M = 0.75, 1.0
 """Episodes begin at least so far from a person's middle, and from the goal."""
 _APPEARED_AHEAD_M = (2.5, 5.5)
+_TRIES = 100
 _BYTES_A_NUMBER = 2
 
 
@@ -39,8 +41,6 @@ class ForesightConfig:
     steps: int = 0
     """Environment steps for which the policy learns directly what each command is worth, before PPO; 0: not guided, the
     paper's reward and curriculum."""
-    discount: float = 0.9975
-    """Of a control step, in place of `ppo.discount`, which weighs the paper's reward."""
     worlds: int = 320
     """How many are held at once."""
     memory_mb: int = 3_500
@@ -66,10 +66,10 @@ class ForesightConfig:
     evenness: float = 0.1
     """Situations in which commands differ by less than this count less."""
     values: FieldConfig = field(default_factory=FieldConfig)
+    """Its discount takes the place of `ppo.discount`, which weighs the paper's reward."""
 
     def __post_init__(self) -> None:
         require(self.steps >= 0, "ForesightConfig.steps", self.steps, "0 or more")
-        require(0 < self.discount <= 1, "ForesightConfig.discount", self.discount, "in (0, 1]")
         for name in ("worlds", "memory_mb", "learning_rate", "evenness", "epochs"):
             require(getattr(self, name) > 0, f"ForesightConfig.{name}", getattr(self, name), "positive")
         for name in ("renewed", "processes"):
@@ -94,20 +94,18 @@ class ForesightConfig:
 
 
 @dataclass(frozen=True)
-class AnyStage:
-    """All training scenarios at any level, with those who would appear suddenly standing there from the start."""
+class AnyLevel:
+    """A training scenario at any level, with those who would appear suddenly standing there from the start."""
 
-    shares: tuple[float, ...]
+    scenario: TrainingScenario
     levels: tuple[float, float]
 
     @property
     def name(self) -> str:
-        return "any-stage"
+        return self.scenario.name
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        share = np.array(self.shares) / sum(self.shares)
-        stage = tuple(TRAINING.values())[int(rng.choice(len(share), p=share))]
-        spec = stage.at_level(float(rng.uniform(*self.levels))).spawn(rng)
+        spec = self.scenario.at_level(float(rng.uniform(*self.levels))).spawn(rng)
         if spec.appearance is None:
             return spec
         # Where they appear depends on the robot's way; to one that starts near them they have just appeared.
@@ -136,24 +134,30 @@ def _leave_stopping_to_the_run() -> None:
 
 
 def build_world(seed: int, number: int, config: ForesightConfig, sim: SimConfig) -> ForeseenWorld:
-    """The world of that number; drawn again until there is somewhere to begin."""
-    worlds = AnyStage(config.shares, config.levels)
+    """The world of that number; drawn again until there is somewhere to begin.
+
+    Raises:
+        ValueError: if there never is, saying what was wrong with the last one.
+    """
+    worlds = Mixture(tuple(AnyLevel(stage, config.levels) for stage in TRAINING.values()), config.shares)
     sim = replace(sim, threads=1)
-    values = replace(config.values, discount=config.discount ** (config.values.hold_s / sim.control_dt_s))
-    for attempt in range(100):
+    wrong: ValueError | None = None
+    for attempt in range(_TRIES):
         drawn = int(np.random.SeedSequence([seed, number, attempt]).generate_state(1, np.uint64)[0] >> np.uint64(1))
         try:
             (future,) = foresee(worlds, [drawn], sim)
+            known = value_field(future.spec, future.bodies, sim, config.values)
+        except ValueError as error:
+            wrong = error  # no room for so many people and things
+            continue
+        poses = known.free_poses(np.random.default_rng([seed, number]), 10 * _STARTS, _WORTH_STARTING)
+        starts = [pose for pose in poses if _may_begin(pose, future.spec)][:_STARTS]
+        if starts:
+            # The same world again leaves the generator as the simulator must find it.
             rng = np.random.default_rng(drawn)
             spec = worlds.spawn(rng)
-            known = value_field(spec, future.bodies, sim, values)
-        except ValueError:
-            continue  # no room for so many people and things
-        poses = known.free_poses(np.random.default_rng([seed, number]), 10 * _STARTS, _WORTH_STARTING)
-        starts = [pose for pose in poses if _may_begin(pose, spec)][:_STARTS]
-        if starts:
             return ForeseenWorld(number, spec, dict(rng.bit_generator.state), known, starts)
-    raise ValueError(f"none of 100 worlds with shares {config.shares} and levels {config.levels} has a place to begin")
+    raise ValueError(f"none of {_TRIES} worlds of foreseen training has a place to begin; the last: {wrong}")
 
 
 def _may_begin(pose: tuple[float, float, float], spec: WorldSpec) -> bool:
@@ -175,10 +179,10 @@ class ForeseenWorlds:
         self.config = config
         self.sim = unheeding(sim)
         self.seed = seed
-        self.fields = FieldStack(config.worlds, config.memory_mb * 1024 * 1024 // _BYTES_A_NUMBER, sim, config.values)
+        self.fields = FieldStack(config.worlds, config.memory_mb * 1024 * 1024 // _BYTES_A_NUMBER, config.values)
         self.drawn: deque[int] = deque()
         self._held: list[ForeseenWorld | None] = [None] * config.worlds
-        self._next_number = self._next_slot = 0
+        self._taken = 0  # worlds, ever: number n is or was in slot n % worlds
         # Not forked: a copy of a process with threads may hang.
         self._builders = ProcessPoolExecutor(
             config.processes or available_threads(),
@@ -189,11 +193,11 @@ class ForeseenWorlds:
 
     def fill(self) -> None:
         """Builds the first worlds."""
-        self._take(range(self.config.worlds))
+        self._take(self.config.worlds)
 
     def renew(self) -> None:
         """Replaces the oldest."""
-        self._take([(self._next_slot + k) % self.config.worlds for k in range(self.config.renewed)])
+        self._take(self.config.renewed)
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
         """One of the worlds, with a start."""
@@ -209,42 +213,38 @@ class ForeseenWorlds:
 
     def state_dict(self) -> dict[str, Any]:
         """Which worlds are held; they are built anew on loading."""
-        return {
-            "numbers": [world.number for world in self._held if world is not None],
-            "next_number": self._next_number - len(self._building),
-            "next_slot": self._next_slot,
-        }
+        return {"numbers": [world.number for world in self._held if world is not None]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Builds the worlds that were held."""
         building = [self._submit(int(number)) for number in state["numbers"]]
-        for slot, world in enumerate(building):
-            self._put(slot, world.result())
+        for world in building:
+            self._put(world.result())
         self._building.clear()
-        self._next_number, self._next_slot = int(state["next_number"]), int(state["next_slot"])
+        self._taken = max(int(number) for number in state["numbers"]) + 1
 
     def close(self) -> None:
         """Ends the processes that build."""
         self._builders.shutdown(wait=False, cancel_futures=True)
 
-    def _take(self, slots: Sequence[int]) -> None:
-        """Puts the next worlds into these slots, and has as many more built meanwhile."""
-        while len(self._building) < len(slots):
-            self._order()
-        for slot in slots:
-            self._put(slot, self._building.popleft().result())
-            self._next_slot = (slot + 1) % self.config.worlds
-        for _ in range(self.config.renewed):
-            self._order()
+    def _take(self, count: int) -> None:
+        """Puts the next worlds into their slots, and has those of the next renewal built meanwhile."""
+        self._order(count)
+        for _ in range(count):
+            self._put(self._building.popleft().result())
+        self._taken += count
+        self._order(self.config.renewed)
 
-    def _order(self) -> None:
-        self._building.append(self._submit(self._next_number))
-        self._next_number += 1
+    def _order(self, count: int) -> None:
+        """Sees to it that so many worlds are being built."""
+        while len(self._building) < count:
+            self._building.append(self._submit(self._taken + len(self._building)))
 
     def _submit(self, number: int) -> Future[ForeseenWorld]:
         return self._builders.submit(build_world, self.seed, number, self.config, self.sim)
 
-    def _put(self, slot: int, world: ForeseenWorld) -> None:
+    def _put(self, world: ForeseenWorld) -> None:
+        slot = world.number % self.config.worlds
         try:
             self.fields.put(slot, world.field)
         except MemoryError as error:

@@ -2,12 +2,11 @@
 
 The policy drives; wherever that leads, it is made likelier to do what is worth much there, over all commands at once
 and not only the one that it tried (Ross and Bagnell 2014, AggreVaTe; Sun et al. 2017). What commands are worth supposes
-that the future is known from the next moment on: to wait and see never costs much. PPO mends that.
+that the future is known from the next moment on: to wait and see never costs much. PPO then learns what really follows.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -15,13 +14,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from densecavoid.frames import require
-from densecavoid.learning.gae import estimate_advantages
 from densecavoid.learning.mirror import mirror_action, mirror_observation, mirror_people
 from densecavoid.learning.peers import Peers
-from densecavoid.learning.ppo import PPOConfig, TrainingDivergedError, learning_rate_of, step, value_loss
-from densecavoid.learning.rollout import Rollout, take
-from densecavoid.learning.shuffling import minibatches
-from densecavoid.policy.network import ActorCritic
+from densecavoid.learning.ppo import PPOConfig, learning_rate_of
+from densecavoid.learning.rollout import Rollout
+from densecavoid.learning.shuffling import Minibatch
+from densecavoid.learning.supervised import supervise
+from densecavoid.policy.network import ActorCritic, ObservationTensors, PolicyOutput
 
 
 @dataclass(frozen=True)
@@ -88,37 +87,19 @@ def guide(
     """
     require(rollout.command_values is not None, "Rollout.command_values", None, "a rollout in foreseen worlds")
     assert rollout.command_values is not None
-    _, returns = estimate_advantages(
-        rollout.reward,
-        rollout.value,
-        rollout.next_value,
-        rollout.terminated,
-        rollout.truncated,
-        discount=config.discount,
-        trace_decay=config.trace_decay,
-    )
-    flat_returns, worth = returns.flatten(), rollout.command_values.flatten(0, 1)
-    observations, old_values = rollout.flat_observation(), rollout.value.flatten()
-    if network.value_moments is not None:
-        network.follow_returns(*peers.moments(flat_returns[:, None]))
-    unit = 1.0 if network.value_moments is None else network.value_moments.std
-    parameters, std = list(network.parameters()), network.log_std.detach().exp()
+    worth, std = rollout.command_values.flatten(0, 1), network.log_std.detach().exp()
     everything = torch.ones(len(commands), dtype=torch.bool, device=commands.device)
-    totals, gradient_steps = torch.zeros(2, device=worth.device), 0
-    for index, size, other_half in minibatches(rollout, epochs, config.minibatch_size, generator, peers):
-        seen, people = take(observations, rollout.people, index)
+    mirrored = mirror_action(commands, everything)
+
+    def regret(
+        batch: Minibatch, seen: ObservationTensors, people: Tensor | None
+    ) -> tuple[PolicyOutput, Float[Tensor, "n"]]:
         # Left and right are exchanged in what is seen of half of them, and so in what their values are of.
-        grid = torch.where(other_half[:, None, None], mirror_action(commands, everything), commands)
-        seen = mirror_observation(seen, other_half)
+        other_half = batch.other_half
+        grid = torch.where(other_half[:, None, None], mirrored, commands)
         people = None if people is None else mirror_people(people, other_half)
-        output = network(seen, people)
-        regret = expected_regret(output.mean, std, grid, worth[index], evenness).sum() / size
-        wrong = value_loss(output.value / unit, old_values[index] / unit, flat_returns[index] / unit, 0.0).sum() / size
-        figures = peers.sum(torch.stack([regret.detach(), wrong.detach()]))
-        if not math.isfinite(float(figures.sum())):
-            raise TrainingDivergedError(f"the regret and the critic's loss are {figures.tolist()}")
-        step(optimiser, regret + config.value_weight * wrong, parameters, config.max_gradient_norm, peers)
-        totals += figures
-        gradient_steps += 1
-    means, (linear, angular) = (totals / gradient_steps).tolist(), std.tolist()
-    return GuidanceStatistics(means[0], means[1], gradient_steps, learning_rate_of(optimiser), linear, angular)
+        output = network(mirror_observation(seen, other_half), people)
+        return output, expected_regret(output.mean, std, grid, worth[batch.own], evenness)
+
+    figures = supervise(network, optimiser, rollout, config, epochs, 1.0, regret, generator, peers, "guidance")
+    return GuidanceStatistics(*figures, learning_rate_of(optimiser), *std.tolist())

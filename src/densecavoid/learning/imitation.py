@@ -4,19 +4,20 @@ PPO. The policy drives more and more by itself, and learns what the teacher woul
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from densecavoid.frames import require
-from densecavoid.learning.gae import estimate_advantages
 from densecavoid.learning.peers import Peers
-from densecavoid.learning.ppo import PPOConfig, TrainingDivergedError, learning_rate_of, step, value_loss
-from densecavoid.learning.rollout import Rollout, take
-from densecavoid.learning.shuffling import minibatches
-from densecavoid.policy.network import ActorCritic
+from densecavoid.learning.ppo import PPOConfig, learning_rate_of
+from densecavoid.learning.rollout import Rollout
+from densecavoid.learning.shuffling import Minibatch
+from densecavoid.learning.supervised import supervise
+from densecavoid.policy.network import ActorCritic, ObservationTensors, PolicyOutput
 
 
 @dataclass(frozen=True)
@@ -82,31 +83,16 @@ def imitate(
     """
     require(rollout.teacher_mean is not None, "Rollout.teacher_mean", None, "a rollout collected with a teacher")
     assert rollout.teacher_mean is not None
-    _, returns = estimate_advantages(
-        rollout.reward,
-        rollout.value,
-        rollout.next_value,
-        rollout.terminated,
-        rollout.truncated,
-        discount=config.discount,
-        trace_decay=config.trace_decay,
+    shown = rollout.teacher_mean.flatten(0, 1)
+
+    def apart(
+        batch: Minibatch, seen: ObservationTensors, people: Tensor | None
+    ) -> tuple[PolicyOutput, Float[Tensor, "n"]]:
+        output = network(seen, people)
+        return output, ((output.mean - shown[batch.own]) / network.limits).square().mean(dim=1)
+
+    figures = supervise(
+        network, optimiser, rollout, config, config.epochs, weight, apart, generator, peers, "imitation"
     )
-    flat_returns, shown = returns.flatten(), rollout.teacher_mean.flatten(0, 1)
-    observations, old_values = rollout.flat_observation(), rollout.value.flatten()
-    if network.value_moments is not None:
-        network.follow_returns(*peers.moments(flat_returns[:, None]))
-    unit = 1.0 if network.value_moments is None else network.value_moments.std
-    parameters = list(network.parameters())
-    totals, gradient_steps = torch.zeros(2, device=shown.device), 0
-    for index, size, _ in minibatches(rollout, config.epochs, config.minibatch_size, generator, peers):
-        output = network(*take(observations, rollout.people, index))
-        apart = ((output.mean - shown[index]) / network.limits).square().mean(dim=1).sum() / size
-        wrong = value_loss(output.value / unit, old_values[index] / unit, flat_returns[index] / unit, 0.0).sum() / size
-        figures = peers.sum(torch.stack([apart.detach(), wrong.detach()]))
-        if not math.isfinite(float(figures.sum())):
-            raise TrainingDivergedError(f"the losses of imitation and critic are {figures.tolist()}")
-        step(optimiser, weight * apart + config.value_weight * wrong, parameters, config.max_gradient_norm, peers)
-        totals += figures
-        gradient_steps += 1
-    means, std = (totals / gradient_steps).tolist(), network.log_std.detach().exp().tolist()
-    return ImitationStatistics(means[0], means[1], gradient_steps, learning_rate_of(optimiser), std[0], std[1])
+    linear, angular = network.log_std.detach().exp().tolist()
+    return ImitationStatistics(*figures, learning_rate_of(optimiser), linear, angular)

@@ -152,15 +152,7 @@ def update(
         TrainingDivergedError: if a loss or a gradient is not finite; the step that would have used it is not taken.
         PeerLostError: if another process is gone.
     """
-    advantages, returns = estimate_advantages(
-        rollout.reward,
-        rollout.value,
-        rollout.next_value,
-        rollout.terminated,
-        rollout.truncated,
-        discount=config.discount,
-        trace_decay=config.trace_decay,
-    )
+    advantages, returns = judged(rollout, config)
     observations = rollout.flat_observation()
     actions = rollout.action.flatten(0, 1)
     old_log_probs, old_values = rollout.log_prob.flatten(), rollout.value.flatten()
@@ -168,9 +160,7 @@ def update(
     explained = explained_variance(old_values, flat_returns, peers)
     if config.normalise_advantages == "rollout":
         flat_advantages = _normalised(flat_advantages, peers)
-    if network.value_moments is not None:
-        network.follow_returns(*peers.moments(flat_returns[:, None]))
-    unit = 1.0 if network.value_moments is None else network.value_moments.std
+    unit = unit_of_values(network, flat_returns, peers)
     if config.schedule == "linear":
         set_learning_rate(optimiser, config.learning_rate * max(0.0, 1.0 - progress))
 
@@ -240,6 +230,29 @@ def update(
         std_linear=std[0],
         std_angular=std[1],
     )
+
+
+def judged(rollout: Rollout, config: PPOConfig) -> tuple[Float[Tensor, "T N"], Float[Tensor, "T N"]]:
+    """Advantages and returns of a rollout's steps."""
+    return estimate_advantages(
+        rollout.reward,
+        rollout.value,
+        rollout.next_value,
+        rollout.terminated,
+        rollout.truncated,
+        discount=config.discount,
+        trace_decay=config.trace_decay,
+    )
+
+
+def unit_of_values(network: ActorCritic, returns: Float[Tensor, "N"], peers: Peers) -> Tensor | float:
+    """What the critic's errors are measured in: 1, or the returns' standard deviation where it is normalised, which
+    takes these returns in first.
+    """
+    if network.value_moments is None:
+        return 1.0
+    network.follow_returns(*peers.moments(returns[:, None]))
+    return network.value_moments.std
 
 
 def step(

@@ -71,7 +71,7 @@ class Trainer:
         self.curriculum = Curriculum(config.curriculum, config.stages)
         self.ppo_config, self.foreseen = config.ppo, None
         if config.foresight.steps > 0:
-            self.ppo_config = dataclasses.replace(config.ppo, discount=config.foresight.discount)
+            self.ppo_config = dataclasses.replace(config.ppo, discount=config.foresight.values.discount)
             self.foreseen = ForeseenWorlds(config.foresight, config.sim, config.seed)
             self.foreseen.fill()
         self.envs = make_envs(config, self.foreseen or self._scenario(), peers.rank * config.num_envs)

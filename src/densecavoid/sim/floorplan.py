@@ -56,6 +56,13 @@ class FloorPlan:
         return np.array(self._boxes, dtype=np.float64).reshape(-1, 7)
 
     @property
+    def box_reach(self) -> Float[np.ndarray, "n 2"]:
+        """How far each box reaches from its middle along x and y."""
+        boxes = self.boxes
+        cos, sin = np.abs(np.cos(boxes[:, 2])), np.abs(np.sin(boxes[:, 2]))
+        return np.stack([cos * boxes[:, 3] + sin * boxes[:, 4], sin * boxes[:, 3] + cos * boxes[:, 4]], axis=1)
+
+    @property
     def cylinders(self) -> Float[np.ndarray, "m 5"]:
         """Rows (x, y, radius, z_min, z_max)."""
         return np.array(self._cylinders, dtype=np.float64).reshape(-1, 5)

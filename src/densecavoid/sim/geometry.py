@@ -37,6 +37,27 @@ def rectangle_offset(x, y, box):
 
 
 @inner
+def mark_disc(cells, x, y, inside, reach, x0, y0, cell):
+    """Marks the cells [X, Y] of a grid whose centres are nearer to a point than `inside` with 1, and those nearer than
+    `reach` that are 0 with 2.
+
+    Args:
+        x0, y0, cell: corner of the first cell, side of a cell.
+    """
+    first_i, last_i = max(int((x - reach - x0) / cell), 0), min(int((x + reach - x0) / cell) + 1, cells.shape[0])
+    first_j, last_j = max(int((y - reach - y0) / cell), 0), min(int((y + reach - y0) / cell) + 1, cells.shape[1])
+    for i in range(first_i, last_i):
+        off_x = x0 + (i + 0.5) * cell - x
+        for j in range(first_j, last_j):
+            off_y = y0 + (j + 0.5) * cell - y
+            distance_2 = off_x * off_x + off_y * off_y
+            if distance_2 < inside * inside:
+                cells[i, j] = 1
+            elif distance_2 < reach * reach and cells[i, j] == 0:
+                cells[i, j] = 2
+
+
+@inner
 def disc_offset(x, y, cylinder):
     """Signed distance from a point to a disc's edge (negative inside), and the outward unit normal there."""
     rel_x, rel_y = x - cylinder[CYL_X], y - cylinder[CYL_Y]

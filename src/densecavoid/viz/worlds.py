@@ -27,9 +27,7 @@ _TITLE_PX = 30
 def whole_extent(spec: WorldSpec) -> Extent:
     """All that stands in a world, and everybody near it."""
     boxes, cylinders = spec.floor_plan.boxes, spec.floor_plan.cylinders
-    half_x = np.abs(np.cos(boxes[:, 2])) * boxes[:, 3] + np.abs(np.sin(boxes[:, 2])) * boxes[:, 4]
-    half_y = np.abs(np.sin(boxes[:, 2])) * boxes[:, 3] + np.abs(np.cos(boxes[:, 2])) * boxes[:, 4]
-    half = np.stack([half_x, half_y], axis=1)
+    half = spec.floor_plan.box_reach
     standing = cylinders[cylinders[:, 3] < 2.0]
     radius = np.repeat(standing[:, 2:3], 2, axis=1)
     ends = np.array([spec.start_pose[:2], spec.goal])
