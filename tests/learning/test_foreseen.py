@@ -19,7 +19,7 @@ from densecavoid.learning.checkpoint import load_checkpoint, save_checkpoint  # 
 from densecavoid.learning.config import TrainConfig  # noqa: E402
 from densecavoid.learning.foreseen_envs import UNIT, ForeseenVectorEnv  # noqa: E402
 from densecavoid.learning.foreseen_worlds import AnyLevel, ForeseenWorlds, ForesightConfig, build_world  # noqa: E402
-from densecavoid.learning.guidance import expected_regret, guide  # noqa: E402
+from densecavoid.learning.guidance import expected_loss, guide, losses_of_commands  # noqa: E402
 from densecavoid.learning.trainer import Trainer  # noqa: E402
 from densecavoid.policy.network import PRESETS, ActorCritic  # noqa: E402
 from densecavoid.scenarios import TRAINING  # noqa: E402
@@ -144,22 +144,23 @@ def test_too_little_memory_is_said() -> None:
         made.close()
 
 
-def test_regret_is_what_a_loop_gives_and_its_gradient_leads_to_the_best_command() -> None:
+def test_the_loss_is_what_a_loop_gives_and_its_gradient_leads_to_the_best_command() -> None:
     rng = torch.Generator().manual_seed(0)
     commands = torch.tensor([(v, w) for v in (0.0, 0.5, 1.0) for w in (-0.4, 0.0, 0.4)])
     values, mean, std = torch.rand(2, 9, generator=rng), torch.rand(2, 2, generator=rng), torch.tensor([0.3, 0.2])
-    regret = expected_regret(mean, std, commands.expand(2, -1, -1), values, 0.1)
+    loss = expected_loss(mean, std, commands.expand(2, -1, -1), losses_of_commands(values, 0.5, 0.1))
     for b in range(2):
         density = np.array([np.exp(-0.5 * float((((c - mean[b]) / std) ** 2).sum())) for c in commands])
-        lost = (values[b].max() - values[b]).numpy() / (0.1 + float(values[b].max() - values[b].min()))
-        assert float(regret[b]) == pytest.approx(float(density @ lost / density.sum()), rel=1e-5)
+        lost = np.minimum((values[b].max() - values[b]).numpy(), 0.5)
+        lost /= 0.1 + lost.max()
+        assert float(loss[b]) == pytest.approx(float(density @ lost / density.sum()), rel=1e-5)
     best = commands[4]
     values = -((commands - best) ** 2).sum(dim=1)[None]
     at = torch.tensor([[0.2, -0.2]], requires_grad=True)
     optimiser = torch.optim.Adam([at], lr=0.02)
     for _ in range(200):
         optimiser.zero_grad()
-        expected_regret(at, std, commands[None], values, 0.1).sum().backward()
+        expected_loss(at, std, commands[None], losses_of_commands(values, 9.0, 0.1)).sum().backward()
         optimiser.step()
     assert float((at[0] - best).abs().max().detach()) < 0.1
 
@@ -198,18 +199,28 @@ def test_guided_training_goes_on_to_the_same_bits_and_hands_over_to_ppo(config: 
             trainer.close()
 
 
-def test_guidance_lowers_the_regret_of_what_it_saw(config: TrainConfig) -> None:
+def test_guidance_lowers_the_regret_of_what_it_saw_and_goes_on_turning_where_all_is_as_good(
+    config: TrainConfig,
+) -> None:
     trainer = Trainer(config)
     try:
         rollout = trainer.collector.collect(trainer.network, trainer.generator)
         commands = torch.as_tensor(trainer.envs[0].commands, dtype=torch.float32)
-        network = ActorCritic(PRESETS["compact"])
-        optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
-        regrets = [
-            guide(network, optimiser, rollout, commands, 2, 0.1, trainer.ppo_config, trainer.generator).regret
-            for _ in range(15)
-        ]
+
+        def guided(steadiness: float) -> tuple[list[float], ActorCritic]:
+            network = ActorCritic(PRESETS["compact"])
+            optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
+            settings = (rollout, commands, 2, 0.1, 0.03, steadiness, trainer.ppo_config, trainer.generator)
+            return [guide(network, optimiser, *settings).regret for _ in range(15)], network
+
+        regrets, _ = guided(0.0)
         assert regrets[-1] < 0.7 * regrets[0]
+        assert rollout.command_values is not None
+        rollout.command_values.zero_()
+        _, network = guided(1.0)
+        with torch.no_grad():
+            turn = network.mean(rollout.flat_observation())[:, 1]
+        assert float(torch.corrcoef(torch.stack([turn, rollout.flat_observation().velocity[:, 1]]))[0, 1]) > 0.8
     finally:
         trainer.close()
 

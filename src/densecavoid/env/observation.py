@@ -12,6 +12,7 @@ from jaxtyping import Bool
 
 from densecavoid.frames import NUM_SCANS, Observation, SensorFrame, goal_polar, require
 from densecavoid.perception.config import PerceptionConfig
+from densecavoid.perception.memory import ThingsRemembered
 from densecavoid.perception.pipeline import PeoplePipeline
 from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
@@ -20,6 +21,9 @@ from densecavoid.sim._jit import for_worlds, kernel, threads_for
 @dataclass(frozen=True)
 class ObserverConfig(PerceptionConfig):
     """What the policy gets to see: the sensors as they are, and people as they are perceived."""
+
+    remembers: bool = False
+    """Whether the oldest of the three scans gives way to things that the camera saw before (`ThingsRemembered`)."""
 
 
 @kernel
@@ -65,6 +69,9 @@ class Observer:
         self.privileged = config.privileged
         self.people = PeoplePipeline(config, num_worlds)
         """Who is seen, followed and foreseen."""
+        self._things = (
+            ThingsRemembered(config.lidar, config.camera, num_worlds, config.threads) if config.remembers else None
+        )
         self._fresh = np.ones(num_worlds, np.bool_)
         self._lidar = np.ones((num_worlds, NUM_SCANS, config.lidar.num_rays), np.float32)
         self._camera = np.zeros((num_worlds, config.camera.height, config.camera.width), np.uint8)
@@ -78,6 +85,8 @@ class Observer:
         """Forgets the past of the marked worlds."""
         self._fresh[which] = True
         self.people.reset(which)
+        if self._things is not None:
+            self._things.reset(which)
 
     def observe(self, frame: SensorFrame, which: Bool[np.ndarray, "B"] | None = None) -> Observation:
         """Takes in the next frame of the marked worlds (all, without `which`).
@@ -106,6 +115,8 @@ class Observer:
             self._lidar,
             self._camera,
         )
+        if self._things is not None:
+            self._things.update(frame, which, self._lidar[:, 0])
         self.people.update(frame, which)
         self._fresh[which] = False
         distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
@@ -121,14 +132,15 @@ class Observer:
         """The memory of all worlds, as arrays."""
         people = {f"people.{name}": value for name, value in self.people.state_dict().items()}
         own = {"fresh": self._fresh.copy(), "lidar": self._lidar.copy(), "camera": self._camera.copy()}
-        return people | own
+        things = {} if self._things is None else self._things.state_dict()
+        return people | own | {f"things.{name}": value for name, value in things.items()}
 
     def load_state_dict(self, arrays: dict[str, np.ndarray]) -> None:
         """Goes on from a `state_dict`."""
         require(len(arrays["fresh"]) == self.num_worlds, "saved worlds", len(arrays["fresh"]), str(self.num_worlds))
-        prefix = "people."
-        people = {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
-        self.people.load_state_dict(people)
+        self.people.load_state_dict(_part(arrays, "people."))
+        if self._things is not None:
+            self._things.load_state_dict(_part(arrays, "things."))
         self._fresh, self._lidar = np.array(arrays["fresh"]), np.array(arrays["lidar"])
         self._camera = np.array(arrays["camera"])
 
@@ -138,3 +150,7 @@ class Observer:
         depth_shape = (self.num_worlds, camera.height, camera.width)
         require(frame.scan_m.shape == scan_shape, "scan_m", frame.scan_m.shape, str(scan_shape))
         require(frame.depth_m.shape == depth_shape, "depth_m", frame.depth_m.shape, str(depth_shape))
+
+
+def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}

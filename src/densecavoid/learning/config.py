@@ -77,6 +77,8 @@ class TrainConfig:
     """Share of the actions' noise that is kept from one step to the next, in [0, 1): tries go on for longer."""
     checkpoint_every: int = 25
     """Iterations between two checkpoints."""
+    remembers: bool = False
+    """Show things that the camera saw and may not see any more in place of the oldest scan (`ObserverConfig`)."""
     prediction_horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
     people_from: Literal["boxes", "truth"] = "boxes"

@@ -63,16 +63,20 @@ class ForesightConfig:
     """Passes over each rollout in these steps."""
     learning_rate: float = 7e-4
     """In these steps; it sinks to half."""
-    evenness: float = 0.1
+    serious: float = 0.1
+    """A command that is worth less than the best by this much or more is as bad as any."""
+    evenness: float = 0.03
     """Situations in which commands differ by less than this count less."""
+    steadiness: float = 0.1
+    """What it counts to turn the other way, where a collision counts 1."""
     values: FieldConfig = field(default_factory=FieldConfig)
     """Its discount takes the place of `ppo.discount`, which weighs the paper's reward."""
 
     def __post_init__(self) -> None:
         require(self.steps >= 0, "ForesightConfig.steps", self.steps, "0 or more")
-        for name in ("worlds", "memory_mb", "learning_rate", "evenness", "epochs"):
+        for name in ("worlds", "memory_mb", "learning_rate", "serious", "evenness", "epochs"):
             require(getattr(self, name) > 0, f"ForesightConfig.{name}", getattr(self, name), "positive")
-        for name in ("renewed", "processes"):
+        for name in ("renewed", "processes", "steadiness"):
             require(getattr(self, name) >= 0, f"ForesightConfig.{name}", getattr(self, name), "0 or more")
         require(
             min(self.shares) >= 0 and sum(self.shares) > 0,

@@ -28,7 +28,7 @@ class GuidanceStatistics:
     """What happened in one update; means over its minibatches."""
 
     regret: float
-    """By how much what the policy does is worth less than the best command, as a share of the range of commands."""
+    """What the policy's commands lose (`losses_of_commands`), and how unsteady they are."""
     value_loss: float
     gradient_steps: int
     learning_rate: float
@@ -38,25 +38,35 @@ class GuidanceStatistics:
     """rad/s"""
 
 
-def expected_regret(
+def losses_of_commands(values: Float[Tensor, "B C"], serious: float, evenness: float) -> Float[Tensor, "B C"]:
+    """How much worse than the best each command is, as a share of what is at stake there: 0 to nearly 1.
+
+    Args:
+        values: what each command is worth.
+        serious: what is worse than the best by this much or more is equally bad. Without a limit a collision would
+            count so much more than anything else that to dither before a narrow way would not matter.
+        evenness: added to what is at stake: where all commands are worth the same, none is bad.
+    """
+    lost = (values.amax(dim=1, keepdim=True) - values).clamp(max=serious)
+    return lost / (evenness + lost.amax(dim=1, keepdim=True))
+
+
+def expected_loss(
     mean: Float[Tensor, "B 2"],
     std: Float[Tensor, "2"],
     commands: Float[Tensor, "#B C 2"],
-    values: Float[Tensor, "B C"],
-    evenness: float,
+    losses: Float[Tensor, "B C"],
 ) -> Float[Tensor, "B"]:
-    """How much worse than the best a Gaussian policy does, whose commands are taken as the grid's.
+    """What a Gaussian policy loses whose commands are taken as the grid's: the probability of each is the density
+    there, all together being 1.
 
     Args:
         mean, std: of the policy.
-        commands: the grid; the probability of each is the density there, all together being 1.
-        values: what each is worth.
-        evenness: added to the range of each situation's values, by which its regrets are divided.
+        commands: the grid.
+        losses: of each of its commands.
     """
     apart = (commands - mean[:, None]) / std
-    probability = torch.softmax(-0.5 * apart.square().sum(dim=2), dim=1)
-    best, worst = values.amax(dim=1, keepdim=True), values.amin(dim=1, keepdim=True)
-    return (probability * (best - values) / (evenness + best - worst)).sum(dim=1)
+    return (torch.softmax(-0.5 * apart.square().sum(dim=2), dim=1) * losses).sum(dim=1)
 
 
 def guide(
@@ -65,7 +75,9 @@ def guide(
     rollout: Rollout,
     commands: Float[Tensor, "C 2"],
     epochs: int,
+    serious: float,
     evenness: float,
+    steadiness: float,
     config: PPOConfig,
     generator: torch.Generator,
     peers: Peers = Peers(),  # noqa: B008
@@ -78,7 +90,9 @@ def guide(
         rollout: collected in worlds that tell what `commands` are worth.
         commands: the grid of the rollout's `command_values`.
         epochs: passes over the rollout.
-        evenness: as in `expected_regret`.
+        serious, evenness: as in `losses_of_commands`.
+        steadiness: what it counts to turn at full speed one way when the robot turns so the other way. Where both ways
+            are as good, the policy goes on as it began instead of dithering.
         config: of it, the critic's settings, minibatches and gradient norm.
         generator, peers: as in `ppo.update`.
 
@@ -98,8 +112,11 @@ def guide(
         other_half = batch.other_half
         grid = torch.where(other_half[:, None, None], mirrored, commands)
         people = None if people is None else mirror_people(people, other_half)
-        output = network(mirror_observation(seen, other_half), people)
-        return output, expected_regret(output.mean, std, grid, worth[batch.own], evenness)
+        seen = mirror_observation(seen, other_half)
+        output = network(seen, people)
+        losses = losses_of_commands(worth[batch.own], serious, evenness)
+        changed = (grid[..., 1] - seen.velocity[:, None, 1]).abs() / (commands[:, 1].max() - commands[:, 1].min())
+        return output, expected_loss(output.mean, std, grid, losses + steadiness * changed)
 
     figures = supervise(network, optimiser, rollout, config, epochs, 1.0, regret, generator, peers, "guidance")
     return GuidanceStatistics(*figures, learning_rate_of(optimiser), *std.tolist())

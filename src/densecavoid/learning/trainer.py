@@ -238,7 +238,15 @@ class Trainer:
             ppo.set_learning_rate(self.optimiser, foresight.learning_rate * (1.0 - 0.5 * done))
             commands = torch.as_tensor(env.commands, dtype=torch.float32, device=self.device)
             learned = guide(
-                *settings, commands, foresight.epochs, foresight.evenness, config, self.generator, self.peers
+                *settings,
+                commands,
+                foresight.epochs,
+                foresight.serious,
+                foresight.evenness,
+                foresight.steadiness,
+                config,
+                self.generator,
+                self.peers,
             )
             if self.steps + self.steps_per_iteration >= foresight.steps:
                 self.network.set_std(foresight.last_std)

@@ -22,6 +22,7 @@ def observer_config(config: TrainConfig) -> ObserverConfig:
         people_from=config.people_from if config.sensors == "densecavoid" else "nothing",
         horizons_s=(config.prediction_horizon_s,),
         control_dt_s=config.sim.control_dt_s,
+        remembers=config.remembers,
         threads=config.sim.threads,
     )
 

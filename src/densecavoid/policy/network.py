@@ -5,7 +5,7 @@ Inputs are the arrays of `frames.Observation` as they are stored (uint8 images),
 small; scaling to order one happens inside and therefore also inside every exported file:
 
 - camera / 255 (nearness), (255 - prediction) / 255 (a person is 1, an empty frame is all 0),
-- goal distance / 5 m, at most 4 (20 m); goal bearing in radians as it is,
+- goal distance / 5 m, at most 2 (10 m: farther than anything is seen); goal bearing in radians as it is,
 - velocities as fractions of the robot's limits.
 """
 
@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 _GOAL_DISTANCE_SCALE_M = 5.0
-_GOAL_DISTANCE_LIMIT = 4.0
+_GOAL_DISTANCE_LIMIT = 2.0
 _PEOPLE_SCALE_M = 5.0
 # A window of four uint8 pixels is one 32-bit word: moving words instead of pixels makes cutting an image into patches
 # 20 times faster than a permutation of bytes.

@@ -59,14 +59,15 @@ def cluttered_room(
 
 @dataclass(frozen=True)
 class ClutteredStatic(Levelled):
-    """Level 0 is a nearly empty room, level 1 has an obstacle for every 3 m2."""
+    """Level 0 is a nearly empty room, level 1 has an obstacle for every 3 m2 and goals at least 5 m away."""
 
     @property
     def name(self) -> str:
         return "cluttered-static"
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        size = (rng.uniform(6.0, 11.0), rng.uniform(6.0, 11.0))
+        least = 6.0 + self.level
+        size = (rng.uniform(least, 12.0), rng.uniform(least, 12.0))
         densest = size[0] * size[1] / 3.0
         count = int(rng.uniform(0.5, 1.0) * self.level * densest) + 1
-        return cluttered_room(rng, self.name, size, count, (2.0, 9.0), cell_m=0.15)
+        return cluttered_room(rng, self.name, size, count, (2.0 + 3.0 * self.level, 14.0), cell_m=0.15)

@@ -16,14 +16,14 @@ _TURN_TIME_S = 12.0  # to face any direction, at .4 rad/s and with some hesitati
 
 @dataclass(frozen=True)
 class RandomGoal(Levelled):
-    """Level 0 has goals 1 to 3 m away, level 1 up to 8 m; always in every direction."""
+    """Level 0 has goals 1 to 3 m away, level 1 up to 16 m; always in every direction."""
 
     @property
     def name(self) -> str:
         return "random-goal"
 
     def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        distance, direction = rng.uniform(1.0, 3.0 + 5.0 * self.level), rng.uniform(-math.pi, math.pi)
+        distance, direction = rng.uniform(1.0, 3.0 + 13.0 * self.level), rng.uniform(-math.pi, math.pi)
         return WorldSpec(
             scenario=self.name,
             floor_plan=FloorPlan(),
