@@ -74,9 +74,9 @@ def test_lasting_noise_has_the_same_size_and_lasts(tiny_network: NetworkConfig) 
     torch.nn.init.zeros_(network.actor_output.weight)
     found = {}
     for kept in (0.0, 0.8):
-        collector = Collector([PointEnv(64)], 200, "densecavoid", 1.0, CPU, noise_persistence=kept)
+        collector = Collector([PointEnv(64)], 200, "densecavoid", 1.0, CPU)
         collector.reset(0)
-        action = collector.collect(network, torch.Generator().manual_seed(0)).action[..., 0]
+        action = collector.collect(network, torch.Generator().manual_seed(0), noise_persistence=kept).action[..., 0]
         noise = (action - 0.5) / network.log_std.exp()[0].detach()
         found[kept] = float((noise[1:] * noise[:-1]).mean())
         assert float(noise.square().mean()) == pytest.approx(1.0, abs=0.05)

@@ -32,7 +32,7 @@ class Scene:
 
 
 def frame(depth: np.ndarray, pose: tuple[float, float, float], camera: CameraConfig = SMALL) -> SensorFrame:
-    image = np.broadcast_to(np.float32(depth), (1, camera.height, camera.width)).copy()
+    image = np.broadcast_to(depth.astype(np.float32), (1, camera.height, camera.width)).copy()
     return SensorFrame(
         time_s=np.zeros(1),
         scan_m=np.full((1, LIDAR.num_rays), np.inf, np.float32),
@@ -83,12 +83,16 @@ def test_what_is_beside_the_robot_stays_where_it_was() -> None:
 
 def test_people_who_walk_by_leave_no_trail() -> None:
     pos = np.array([[2.2, -2.0]])
-    crowd = Crowd(pos, pos + [0.0, 6.0], np.array([0.6]), np.array([0.25]), np.array([1.7]), np.array([TRAVERSING]))
+    crowd = Crowd(
+        pos, pos + np.array([0.0, 6.0]), np.array([0.6]), np.array([0.25]), np.array([1.7]), np.array([TRAVERSING])
+    )
     _, observer = drive(Scene(FloorPlan(), crowd), 0.0, 0.0, 80)
     assert (observer._lidar[0, 0] == 1.0).all()
     # Somebody who comes nearer than the camera sees.
     pos = np.array([[4.0, 0.1]])
-    crowd = Crowd(pos, pos - [6.0, 0.0], np.array([0.4]), np.array([0.25]), np.array([1.7]), np.array([TRAVERSING]))
+    crowd = Crowd(
+        pos, pos - np.array([6.0, 0.0]), np.array([0.4]), np.array([0.25]), np.array([1.7]), np.array([TRAVERSING])
+    )
     for steps in range(60, 100, 5):
         _, observer = drive(Scene(FloorPlan(), crowd), 0.0, 0.0, steps)
         assert (observer._lidar[0, 0] == 1.0).all(), steps
@@ -97,16 +101,16 @@ def test_people_who_walk_by_leave_no_trail() -> None:
 def test_what_went_away_is_forgotten_and_reset_forgets_all() -> None:
     things, scan = ThingsRemembered(LIDAR, SMALL, 1, 1), np.zeros((1, LIDAR.num_rays), np.float32)
     for _ in range(STEADY_FRAMES):
-        things.update(frame(np.float32(2.0), (0.0, 0.0, 0.0)), ONE, scan)
+        things.update(frame(np.array(2.0), (0.0, 0.0, 0.0)), ONE, scan)
         assert (scan == 1.0).all(), "not yet steady"
-    things.update(frame(np.float32(2.0), (0.0, 0.0, 0.0)), ONE, scan)
+    things.update(frame(np.array(2.0), (0.0, 0.0, 0.0)), ONE, scan)
     assert scan.min() * 4.0 == pytest.approx(2.0, abs=0.1)
-    things.update(frame(np.float32(4.0), (0.0, 0.0, 0.0)), ONE, scan)
+    things.update(frame(np.array(4.0), (0.0, 0.0, 0.0)), ONE, scan)
     assert (scan == 1.0).all()
     for _ in range(STEADY_FRAMES + 1):
-        things.update(frame(np.float32(2.0), (0.0, 0.0, 0.0)), ONE, scan)
+        things.update(frame(np.array(2.0), (0.0, 0.0, 0.0)), ONE, scan)
     things.reset(ONE)
-    things.update(frame(np.float32(np.nan), (0.0, 0.0, 0.0)), ONE, scan)
+    things.update(frame(np.array(np.nan), (0.0, 0.0, 0.0)), ONE, scan)
     assert (scan == 1.0).all()
 
 
@@ -165,7 +169,8 @@ def test_a_slow_loop_remembers_the_same(seed: int) -> None:
     depth = np.zeros((SMALL.height, SMALL.width), np.float32)
     for step in range(600):
         if step % 15 == 0:
-            depth = np.float32(rng.uniform(1.0, 5.5, (1, SMALL.width)) + rng.uniform(0.0, 0.3, depth.shape))
+            deep = rng.uniform(1.0, 5.5, (1, SMALL.width)) + rng.uniform(0.0, 0.3, depth.shape)
+            depth = deep.astype(np.float32)
             pose += rng.uniform(-1.0, 1.0, 3)
         pose += rng.uniform(-1e-3, 1e-3, 3)
         at = (float(pose[0]), float(pose[1]), float(pose[2]))

@@ -38,7 +38,7 @@ class FieldConfig:
     """A moment: how long a command is held."""
     horizon_s: float = 36.0
     """Until then people are where they will be; afterwards nobody is left."""
-    discount: float = 0.995
+    discount: float = 0.9975
     """Of a control step."""
     slip: float = 0.1
     """Share of moments in which any command is carried out instead: narrow ways are worth less than wide ones."""

@@ -59,7 +59,6 @@ class Collector:
         *,
         peers: Peers = Peers(),  # noqa: B008
         lidar_dtype: torch.dtype = torch.float32,
-        noise_persistence: float = 0.0,
     ) -> None:
         """
         Args:
@@ -70,7 +69,6 @@ class Collector:
             device: where the network and the rollout live.
             peers: the processes that train together.
             lidar_dtype: how ranges are stored; float16 halves them (2 mm at 4 m).
-            noise_persistence: share of the action's noise that is kept from step to step, in [0, 1).
         """
         for env in envs:
             mode = env.metadata.get("autoreset_mode")
@@ -78,7 +76,6 @@ class Collector:
                 mode == AutoresetMode.SAME_STEP, "the environment's autoreset_mode", mode, "AutoresetMode.SAME_STEP"
             )
         require(len(envs) > 0, "environments", list(envs), "at least one")
-        require(0 <= noise_persistence < 1, "noise_persistence", noise_persistence, "in [0, 1)")
         self.envs = tuple(envs)
         self.num_steps = num_steps
         self.sensors = sensors
@@ -86,7 +83,6 @@ class Collector:
         self.device = device
         self.peers = peers
         self.lidar_dtype = lidar_dtype
-        self.noise_persistence = noise_persistence
         bounds = np.cumsum([0, *(env.num_envs for env in envs)]).tolist()
         self.num_worlds = bounds[-1]
         self.first_world = peers.rank * self.num_worlds
@@ -108,6 +104,7 @@ class Collector:
         generator: torch.Generator,
         on_step: Callable[[], None] = lambda: None,
         teacher: Teacher | None = None,
+        noise_persistence: float = 0.0,
     ) -> Rollout:
         """One rollout. The tensors returned are reused by the next call.
 
@@ -116,6 +113,7 @@ class Collector:
             generator: source of the actions' noise, on the collector's device, in the same state in all processes.
             on_step: called after each step of all worlds, for progress.
             teacher: is asked in every step, and drives in some.
+            noise_persistence: share of the actions' noise that is kept from step to step, in [0, 1).
 
         Raises:
             PeerLostError: if another process is gone.
@@ -128,7 +126,7 @@ class Collector:
         pending: list[Callable[[], StepResult]] = []
         with torch.no_grad():
             for t in range(self.num_steps):
-                noise, driven = self._draw(generator, teacher)
+                noise, driven = self._draw(generator, teacher, noise_persistence)
                 for g, part in enumerate(self.slices):
                     if t > 0:
                         self._record(rollout, t - 1, g, pending[g](), terms, finals)
@@ -197,10 +195,10 @@ class Collector:
         rollout.teacher_mean = None if teacher is None else torch.zeros_like(rollout.action)
         return rollout
 
-    def _draw(self, generator: torch.Generator, teacher: Teacher | None) -> tuple[Tensor, Tensor]:
+    def _draw(self, generator: torch.Generator, teacher: Teacher | None, kept: float) -> tuple[Tensor, Tensor]:
         """Noise of the actions [N, 2], and where the teacher drives [N]; drawn for all processes' worlds."""
         total, own = self.num_worlds * self.peers.count, slice(self.first_world, self.first_world + self.num_worlds)
-        fresh, kept = torch.randn(total, 2, generator=generator, device=self.device), self.noise_persistence
+        fresh = torch.randn(total, 2, generator=generator, device=self.device)
         self.noise = fresh if self.noise is None else kept * self.noise + math.sqrt(1 - kept * kept) * fresh
         driven = torch.zeros(total, dtype=torch.bool, device=self.device)
         if teacher is not None:

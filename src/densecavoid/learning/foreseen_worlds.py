@@ -62,10 +62,12 @@ class ForesightConfig:
     epochs: int = 2
     """Passes over each rollout in these steps."""
     learning_rate: float = 7e-4
-    """In these steps; it sinks to half."""
-    serious: float = 0.1
+    """In these steps; it sinks to a fifth."""
+    noise_persistence: float = 0.8
+    """As the run's, in these steps."""
+    serious: float = 0.05
     """A command that is worth less than the best by this much or more is as bad as any."""
-    evenness: float = 0.03
+    evenness: float = 0.015
     """Situations in which commands differ by less than this count less."""
     steadiness: float = 0.1
     """What it counts to turn the other way, where a collision counts 1."""
@@ -86,6 +88,9 @@ class ForesightConfig:
         )
         low, high = self.levels
         require(0 <= low <= high <= 1, "ForesightConfig.levels", self.levels, "two in [0, 1], in order")
+        require(
+            0 <= self.noise_persistence < 1, "ForesightConfig.noise_persistence", self.noise_persistence, "in [0, 1)"
+        )
         require(0 <= self.own_starts <= 1, "ForesightConfig.own_starts", self.own_starts, "in [0, 1]")
         for name in ("first_std", "last_std"):
             require(min(getattr(self, name)) > 0, f"ForesightConfig.{name}", getattr(self, name), "positive")

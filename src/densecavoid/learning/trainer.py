@@ -83,7 +83,6 @@ class Trainer:
             self.device,
             peers=peers,
             lidar_dtype=torch.float16 if config.storage == "float16" else torch.float32,
-            noise_persistence=config.noise_persistence,
         )
         self.collector.reset(config.seed)
         self.steps = 0
@@ -107,7 +106,8 @@ class Trainer:
         """
         started_s = time.perf_counter()
         teacher = self._teacher_now()
-        rollout = self.collector.collect(self.network, self.generator, on_step, teacher)
+        persistence = (self.config.foresight if self.guided else self.config).noise_persistence
+        rollout = self.collector.collect(self.network, self.generator, on_step, teacher, persistence)
         collected_s = time.perf_counter()
         name, learned = self._learn(rollout, teacher)
         ppo.follow_inputs(self.network, rollout, self.peers)
@@ -143,7 +143,12 @@ class Trainer:
         """What is being learned: the curriculum's stage, or in foreseen worlds `guided`, then `foreseen`."""
         if self.foreseen is None:
             return self.curriculum.stage
-        return "guided" if self.steps < self.config.foresight.steps else "foreseen"
+        return "guided" if self.guided else "foreseen"
+
+    @property
+    def guided(self) -> bool:
+        """Whether it learns directly what commands are worth."""
+        return self.steps < self.config.foresight.steps
 
     @property
     def score(self) -> tuple[int, float, float]:
@@ -230,12 +235,12 @@ class Trainer:
         """From whom, and what happened."""
         config, foresight = self.ppo_config, self.config.foresight
         settings = (self.network, self.optimiser, rollout)
-        if self.foreseen is not None and self.steps < foresight.steps:
+        if self.guided:
             env = self.envs[0]
             assert isinstance(env, ForeseenVectorEnv)
             self.network.set_std(foresight.std(self.steps))
             done = self.steps / foresight.steps
-            ppo.set_learning_rate(self.optimiser, foresight.learning_rate * (1.0 - 0.5 * done))
+            ppo.set_learning_rate(self.optimiser, foresight.learning_rate * (1.0 - 0.8 * done))
             commands = torch.as_tensor(env.commands, dtype=torch.float32, device=self.device)
             learned = guide(
                 *settings,
