@@ -12,6 +12,10 @@ import numpy as np
 
 RAYS = 360
 ANGLES = np.linspace(-2.0, 2.0, RAYS)
+CAMERA_HEIGHT_M, DEPTH_LIMITS_M = 0.4, (1.4, 5.0)
+LEFT = (19.5 - np.arange(40)) / 20 * math.tan(0.5 * 1.047)
+UP = (14.5 - np.arange(30)) / 15 * math.tan(0.5 * 0.864)
+"""Slopes of the rays through the image's columns and rows."""
 BASE_TIMEOUT_S = 0.6
 LENGTH_M, HALF_WIDTH_M = 12.0, 1.5
 
@@ -73,9 +77,17 @@ class FaultWorld:
         )
 
     def depth(self) -> Any:
-        """An image of 40 x 30 in millimetres: floor below, nothing above."""
-        image = np.zeros((30, 40), "<u2")
-        image[18:] = np.linspace(4900, 1500, 12).astype("<u2")[:, None]
+        """An image of 40 x 30 in millimetres: walls and floor, as far as the camera sees."""
+        x, y, yaw = self.pose
+        # Of the ray through each column, and along the optical axis: how fast it comes nearer to side and end.
+        across, along = np.sin(yaw) + LEFT * np.cos(yaw), np.cos(yaw) - LEFT * np.sin(yaw)
+        with np.errstate(divide="ignore"):
+            sides = np.where(across > 0, (HALF_WIDTH_M - y) / across, (-HALF_WIDTH_M - y) / across)
+            ends = np.where(along > 0, (LENGTH_M - x) / along, (-2.0 - x) / along)
+            floor = np.where(UP < 0, CAMERA_HEIGHT_M / -UP, np.inf)
+        depth = np.minimum(np.minimum(sides, ends), floor[:, None])
+        depth[(depth < DEPTH_LIMITS_M[0]) | (depth > DEPTH_LIMITS_M[1])] = 0.0
+        image = (1000.0 * depth).astype("<u2")
         return Message(
             header=_header(self.ros_now_s, "camera"),
             encoding="16UC1",
