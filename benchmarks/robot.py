@@ -18,7 +18,6 @@ import tempfile
 import time
 from importlib import resources
 from pathlib import Path
-from types import SimpleNamespace as Message
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -27,6 +26,7 @@ import numpy as np
 
 from densecavoid.frames import CameraConfig, LidarConfig, Observation
 from densecavoid.robot.config import settings_from
+from densecavoid.robot.drivers import Drivers
 from densecavoid.robot.folder import FolderPilot, export_folder
 from densecavoid.robot.runtime import RobotRuntime
 
@@ -47,11 +47,6 @@ print(wall, cpu, ready, int(peak) / 1024, "torch" in sys.modules)
 """
 
 
-def header(time_s: float, frame: str) -> Message:
-    """Of a message made at that time."""
-    return Message(stamp=Message(sec=int(time_s), nanosec=int(time_s % 1 * 1e9)), frame_id=frame)
-
-
 def record(steps: int) -> list[dict[str, Any]]:
     """Messages of an episode, driven by the shipped policy with its own sensors."""
     from densecavoid.policy.navigator import load_policy
@@ -65,45 +60,17 @@ def record(steps: int) -> list[dict[str, Any]]:
     for simulator in (shown, driven):
         simulator.reset(np.array([7], np.int64))
     navigator = load_policy("densecavoid")
+    drivers = Drivers(lidar, camera)
     messages = []
     for step in range(steps):
         frame, now = shown.sense(), 100.0 + 0.1 * step
-        depth = np.nan_to_num(1000.0 * frame.depth_m[0], nan=0.0).astype("<u2")
-        x, y, yaw = (float(value) for value in frame.odom_pose[0])
-        pose = Message(
-            position=Message(x=x, y=y, z=0.0),
-            orientation=Message(x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2))),
-        )
-        linear, angular = (float(value) for value in frame.velocity[0])
-        twist = Message(linear=Message(x=linear), angular=Message(z=angular))
-        goal_x, goal_y = (float(value) for value in frame.goal_odom[0])
         messages.append(
             {
                 "now": now,
-                "scan": Message(
-                    header=header(now, "laser"),
-                    angle_min=-lidar.fov_rad / 2,
-                    angle_increment=lidar.fov_rad / (lidar.num_rays - 1),
-                    range_min=0.02,
-                    range_max=10.0,
-                    ranges=frame.scan_m[0].copy(),
-                ),
-                "depth": Message(
-                    header=header(now, "camera"),
-                    encoding="16UC1",
-                    width=640,
-                    height=480,
-                    step=1280,
-                    is_bigendian=0,
-                    data=depth.tobytes(),
-                ),
-                "odom": Message(
-                    header=header(now, "odom"),
-                    child_frame_id="base_footprint",
-                    pose=Message(pose=pose),
-                    twist=Message(twist=twist),
-                ),
-                "goal": Message(header=header(now, "odom"), pose=Message(position=Message(x=goal_x, y=goal_y, z=0.0))),
+                "scan": drivers.scan(frame, now),
+                "depth": drivers.depth(frame, now),
+                "odom": drivers.odom(frame, now),
+                "goal": drivers.goal(frame, now),
             }
         )
         command = navigator.act(driven.sense())
