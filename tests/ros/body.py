@@ -2,6 +2,9 @@
 and signals, and writes down everything it receives. A process of its own, because ROS 2's wheels start Python anew.
 
 python body.py ros1|ros2 --pid NODE --out FILE --script '[["drive", 3], ["no-scan", 1.5], ["signal-INT", 1]]'
+    [--mujoco SCENARIO --seed N]
+
+The body is the fault world's, or a scenario's world in MuJoCo; its script ends when its episode does.
 """
 
 # pyright: reportMissingImports=false
@@ -19,8 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from densecavoid.frames import CameraConfig, LidarConfig
+from densecavoid.robot.drivers import Drivers
 from densecavoid.robot.fault_world import FaultWorld
 
+TOPICS: tuple[str, ...] = ("scan", "depth/image", "depth/camera_info", "odom", "goal_pose")
 DEPTH_SCALE = 16  # the world's 40 x 30 pixels become 640 x 480
 
 
@@ -32,7 +38,10 @@ class Log:
         self.commands: list[tuple[float, float, float]] = []
         self.reasons: list[tuple[float, str]] = []
         self.phases: list[tuple[float, str]] = []
-        self.delays_ms: list[float] = []
+        self.sensors: dict[str, str] = {}
+        """What the node said last of each of them."""
+        self.sent: dict[str, int] = dict.fromkeys(TOPICS, 0)
+        """How many messages of each topic, before any signal."""
 
     def now(self) -> float:
         return time.monotonic() - self.start_s
@@ -49,11 +58,13 @@ class Ros1:
         from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import PoseStamped, TransformStamped, Twist
         from nav_msgs.msg import Odometry
-        from sensor_msgs.msg import Image, LaserScan
+        from sensor_msgs.msg import CameraInfo, Image, LaserScan
         from tf2_msgs.msg import TFMessage
 
         self.rospy, self.world = rospy, world
-        self.kinds = {"scan": LaserScan, "depth/image": Image, "odom": Odometry, "goal_pose": PoseStamped}
+        self.kinds: dict[str, Any] = dict(
+            zip(TOPICS, (LaserScan, Image, CameraInfo, Odometry, PoseStamped), strict=True)
+        )
         self.transform, self.tf_message = TransformStamped, TFMessage
         rospy.init_node("body", disable_signals=True)
         self.publishers = {
@@ -61,9 +72,7 @@ class Ros1:
         }
         self.tf = rospy.Publisher("/tf", TFMessage, queue_size=10)
         rospy.Subscriber("cmd_vel_mux/input/navi", Twist, lambda m: took(log, world, m), tcp_nodelay=True)
-        rospy.Subscriber(
-            "/diagnostics", DiagnosticArray, lambda m: log.reasons.append((log.now(), m.status[0].message))
-        )
+        rospy.Subscriber("/diagnostics", DiagnosticArray, lambda m: heard(log, m))
 
     def ready(self) -> bool:
         return all(publisher.get_num_connections() > 0 for publisher in self.publishers.values())
@@ -98,19 +107,19 @@ class Ros2:
         from nav_msgs.msg import Odometry
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import qos_profile_sensor_data
-        from sensor_msgs.msg import Image, LaserScan
+        from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
         rclpy.init(args=[])
         self.node = rclpy.create_node("body")
-        self.kinds = {"scan": LaserScan, "depth/image": Image, "odom": Odometry, "goal_pose": PoseStamped}
-        sensors = {"scan": qos_profile_sensor_data, "depth/image": qos_profile_sensor_data}
+        self.kinds: dict[str, Any] = dict(
+            zip(TOPICS, (LaserScan, Image, CameraInfo, Odometry, PoseStamped), strict=True)
+        )
+        sensors = dict.fromkeys(TOPICS[:3], qos_profile_sensor_data)
         self.publishers = {
             topic: self.node.create_publisher(kind, topic, sensors.get(topic, 10)) for topic, kind in self.kinds.items()
         }
         self.node.create_subscription(Twist, "commands/velocity", lambda m: took(log, world, m), 10)
-        self.node.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda m: log.reasons.append((log.now(), m.status[0].message)), 10
-        )
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard(log, m), 10)
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
 
@@ -140,11 +149,17 @@ def took(log: Log, world: FaultWorld, message: Any) -> None:
     world._command, world._commanded_s = command, world.now_s
 
 
+def heard(log: Log, message: Any) -> None:
+    status = message.status[0]
+    log.reasons.append((log.now(), status.message))
+    log.sensors = {pair.key: pair.value for pair in status.values}
+
+
 def fill(message: Any, plain: Any) -> None:
-    """Copies the values of a plain message into ROS's; ROS 1 names the parts of a stamp differently."""
+    """Copies the values of a plain message into ROS's; ROS 1 names the parts of a stamp and K differently."""
     for name, value in vars(plain).items():
         if not hasattr(message, name):
-            name = {"sec": "secs", "nanosec": "nsecs"}[name]
+            name = {"sec": "secs", "nanosec": "nsecs", "k": "K"}[name]
         if hasattr(value, "__dict__"):
             fill(getattr(message, name), value)
         elif isinstance(value, np.ndarray):
@@ -155,12 +170,30 @@ def fill(message: Any, plain: Any) -> None:
             setattr(message, name, value)
 
 
-def large(depth: Any) -> Any:
-    """The depth image at 640 x 480."""
-    small = np.frombuffer(depth.data, "<u2").reshape(30, 40)
-    big = np.kron(small, np.ones((DEPTH_SCALE, DEPTH_SCALE), np.uint16)).astype("<u2")
-    depth.width, depth.height, depth.step, depth.data = 640, 480, 1280, big.tobytes()
-    return depth
+class LargeImages(FaultWorld):
+    """The fault world with depth images of 640 x 480, and a camera that says so."""
+
+    outcome = ""
+    """It has no end."""
+
+    def depth(self) -> Any:
+        depth = super().depth()
+        small = np.frombuffer(depth.data, "<u2").reshape(30, 40)
+        big = np.kron(small, np.ones((DEPTH_SCALE, DEPTH_SCALE), np.uint16)).astype("<u2")
+        depth.width, depth.height, depth.step, depth.data = 640, 480, 1280, big.tobytes()
+        return depth
+
+    def camera_info(self) -> Any:
+        return Drivers(LidarConfig(), CameraConfig(width=640, height=480)).camera_info(self.ros_now_s)
+
+
+def make_world(scenario: str | None, seed: int) -> Any:
+    """The fault world, or a scenario's in MuJoCo."""
+    if scenario is None:
+        return LargeImages(np.random.default_rng(seed))
+    from mujoco_body import MujocoBody  # the other one needs no MuJoCo
+
+    return MujocoBody(scenario, seed)
 
 
 def main() -> None:
@@ -169,9 +202,16 @@ def main() -> None:
     parser.add_argument("--pid", type=int, required=True)
     parser.add_argument("--out", required=True)
     parser.add_argument("--script", required=True)
+    parser.add_argument("--mujoco", metavar="SCENARIO")
+    parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    log, world = Log(), FaultWorld(np.random.default_rng(0))
+    log, world = Log(), make_world(args.mujoco, args.seed)
     ros = (Ros1 if args.version == "ros1" else Ros2)(log, world)
+
+    def send(topic: str, plain: Any) -> None:
+        ros.publish(topic, plain)
+        log.sent[topic] += not phase.startswith("signal-")
+
     world.now_s, world.clock_offset_s = time.monotonic(), ros.clock_s() - time.monotonic()
     deadline = time.monotonic() + 45
     while not ros.ready():
@@ -181,7 +221,7 @@ def main() -> None:
         ros.spin(0.1)
     ros.spin(0.5)
     goal_frame = "map" if args.version == "ros1" else "odom"
-    step = 0
+    step, phase = 0, ""
     for phase, seconds in json.loads(args.script):
         log.phases.append((log.now(), phase))
         if phase.startswith("signal-"):
@@ -190,26 +230,30 @@ def main() -> None:
             goal = world.goal()
             goal.header.frame_id = goal_frame
             for _ in range(5):  # odometry first: the goal may be looked at without it, but the robot stands
-                ros.publish("odom", world.odom())
+                world.now_s = time.monotonic()
+                send("odom", world.odom())
                 ros.send_transforms()
                 ros.spin(0.02)
-            ros.publish("goal_pose", goal)
+            send("goal_pose", goal)
         end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        while time.monotonic() < end and (phase != "drive" or not world.outcome):
             step += 1
             begin = time.monotonic()
             world.drive(None, begin - world.now_s)
             if step % 2 == 0 and phase != "no-scan":
-                ros.publish("scan", world.scan())
+                send("scan", world.scan())
             if step % 2 == 0 and phase != "no-depth":
-                ros.publish("depth/image", large(world.depth()))
+                send("depth/camera_info", world.camera_info())
+                send("depth/image", world.depth())
             if phase != "no-odom":
-                ros.publish("odom", world.odom())
+                send("odom", world.odom())
             if phase != "no-tf":
                 ros.send_transforms()
             ros.spin(max(0.0, 0.05 - (time.monotonic() - begin)))
+    told = {name: getattr(log, name) for name in ("commands", "reasons", "phases", "sent", "sensors")}
+    told |= {"end": log.now(), "outcome": world.outcome, "pose": list(map(float, world.pose))}
     with open(args.out, "w") as file:
-        json.dump({"commands": log.commands, "reasons": log.reasons, "phases": log.phases, "end": log.now()}, file)
+        json.dump(told, file)
 
 
 if __name__ == "__main__":

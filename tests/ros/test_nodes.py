@@ -9,12 +9,14 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import socket
 import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -45,8 +47,8 @@ class Ros:
     robot: Path
     tmp: Path
 
-    def drive(self, script: list[tuple[str, float]], name: str) -> dict[str, list]:
-        """Starts a node and a body, lets the script run, and returns what the body received."""
+    def drive(self, script: list[tuple[str, float]], name: str, *options: str) -> dict[str, Any]:
+        """Starts a node and a body with these options, lets the script run, and returns what the body received."""
         out, node_log = self.tmp / f"{name}.json", self.tmp / f"{name}.log"
         node_args = [self.version, "--folder", str(self.folder), "--robot", str(self.robot)]
         node_args += ["--record", str(self.tmp / f"{name}-recording")]
@@ -64,7 +66,7 @@ class Ros:
         try:
             body = [self.python, str(ROOT / "tests" / "ros" / "body.py"), self.version, "--pid", str(node.pid)]
             done = subprocess.run(
-                [*body, "--out", str(out), "--script", json.dumps(script)],
+                [*body, "--out", str(out), "--script", json.dumps(script), *options],
                 env=self.environment,
                 timeout=100,
                 capture_output=True,
@@ -141,7 +143,7 @@ def ros2(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros:
     return Ros("ros2", python, variables, folder, robot, tmp)
 
 
-def check(log: dict[str, list], version: str) -> None:
+def check(log: dict[str, Any], version: str) -> None:
     """Drives in each `drive` phase's second half; in each fault phase zero comes within .6 s, with a reason that names
     it; never over the limits; the last words after a signal are zeros."""
     phases = [*log["phases"], (log["end"], "end")]
@@ -189,3 +191,33 @@ def test_ros_2_drives_stops_and_says_zero_on_sigint(ros2: Ros) -> None:
 @pytest.mark.timeout(100)
 def test_ros_2_says_zero_on_sigterm(ros2: Ros) -> None:
     check(ros2.drive([("drive", DRIVE_S), ("signal-TERM", 1.0)], "term"), "ros2")
+
+
+CROWD = ["--mujoco", "dense-ped", "--seed", "3"]
+"""A body that is not the project's: people come against the robot, in MuJoCo."""
+
+
+def check_crowd(log: dict[str, Any], version: str) -> None:
+    """What holds however the crossing goes: it drives, keeps the limits, ends with zero, and takes what is sent."""
+    check(log, version)
+    start_x, ahead = 1.0, log["pose"][0]
+    assert ahead - start_x > 0.5, f"{version}: only {ahead - start_x:.2f} m of way; {log['reasons'][-5:]}"
+    for sensor, topic in (("scan", "scan"), ("depth", "depth/image"), ("odom", "odom")):
+        found = re.search(r"(\d+) accepted, (\d+) refused", log["sensors"][sensor])
+        assert found, log["sensors"]
+        accepted, refused = map(int, found.groups())
+        assert accepted >= 0.9 * log["sent"][topic], (version, sensor, accepted, log["sent"])
+        assert refused == 0, (version, log["sensors"])
+    print(f"{version}: {ahead - start_x:.1f} m ahead among people, {log['outcome'] or 'still on its way'}")
+
+
+@pytest.mark.timeout(150)
+def test_ros_1_drives_a_mujoco_body_through_a_crowd(ros1: Ros) -> None:
+    pytest.importorskip("mujoco")
+    check_crowd(ros1.drive([("drive", 6.0), ("signal-INT", 1.0)], "mujoco", *CROWD), "ros1")
+
+
+@pytest.mark.timeout(150)
+def test_ros_2_drives_a_mujoco_body_through_a_crowd(ros2: Ros) -> None:
+    pytest.importorskip("mujoco")
+    check_crowd(ros2.drive([("drive", 6.0), ("signal-INT", 1.0)], "mujoco", *CROWD), "ros2")
