@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -69,13 +70,13 @@ def in_simulator(scenario: Scenario, config: SimConfig, navigator: Navigator, se
     return [Ending(episode.seed, episode.outcome, episode.duration_s) for episode in episodes]
 
 
-def compared(ours: Sequence[Ending], theirs: Sequence[Ending]) -> dict[str, object]:
+def compared(ours: Sequence[Ending], theirs: Sequence[Ending]) -> dict[str, Any]:
     """Both rates, and what differs, world by world."""
     success = [np.array([float(e.outcome == "success") for e in endings]) for endings in (ours, theirs)]
     difference = paired_bootstrap(success[1], success[0])
     both = [(a, b) for a, b in zip(ours, theirs, strict=True) if a.outcome == b.outcome == "success"]
     apart_s = [abs(a.duration_s - b.duration_s) for a, b in both]
-    result: dict[str, object] = {}
+    result: dict[str, Any] = {}
     for name, endings, share in (("simulator", ours, success[0]), ("mujoco", theirs, success[1])):
         outcomes = Counter(ending.outcome for ending in endings)
         result[name] = {
