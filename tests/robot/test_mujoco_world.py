@@ -91,6 +91,17 @@ def test_senses_what_the_simulator_senses_along_the_same_way(name: str, config: 
     assert bool(world.outcome) == bool(simulator.done[0])
 
 
+def test_sees_the_ground_and_people_where_no_wall_is() -> None:
+    plan = FloorPlan()
+    for y in (-2.0, 2.0):
+        plan.wall(0.0, y, 6.0, y)
+    for start in ((9.0, 0.0, 0.3), (-5.0, 8.0, 0.3), (3.0, 0.0, 0.3)):
+        crowd = replace(one_person(0.25), pos=np.array([[start[0] + 3.0, start[1] + 0.5]]))
+        simulator, world = both(Only(WorldSpec("beside", plan, start, (50.0, 0.0), crowd=crowd)), 0)
+        check_frames(simulator.sense(), world.sense())
+        assert np.isfinite(world.sense().depth_m).mean() > 0.2
+
+
 def test_drives_an_arc_as_by_hand_and_keeps_the_robots_limits() -> None:
     world = MujocoWorld(Only(WorldSpec("arc", FloorPlan(), (1.0, 2.0, 0.5), (50.0, 0.0))), 0, CLEAN)
     for _ in range(30):

@@ -250,7 +250,16 @@ def _model(spec: WorldSpec, config: SimConfig, bodies: Float[np.ndarray, "people
     """
     model = mujoco.MjSpec.from_string(world_mjcf(spec.floor_plan))
     for geom in model.worldbody.geoms:
-        _make_thing(geom, hittable=geom.name not in ("ground", "ceiling"))
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            # Rays are cast at a body only if they may meet the bounds of its solids, which planes are not part of:
+            # beside the walls there would be no ground.
+            body = model.worldbody.add_body(name=geom.name)
+            plane = body.add_geom(type=geom.type, size=geom.size, pos=geom.pos)
+            plane.alt.type, plane.alt.euler = geom.alt.type, geom.alt.euler
+            _make_thing(plane, hittable=False)
+            model.delete(geom)
+        else:
+            _make_thing(geom, hittable=True)
     for name in _glass_boxes(spec.floor_plan):
         model.geom(name).group = _GLASS
 
