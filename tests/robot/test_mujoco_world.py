@@ -215,5 +215,7 @@ def test_refuses_what_it_has_not() -> None:
     }.items():
         with pytest.raises(ValueError, match=f"SimConfig.{name}"):
             MujocoWorld(scenario, 0, config)
+    with pytest.raises(ValueError, match="LidarConfig"):
+        MujocoWorld(scenario, 0, SimConfig(lidar=LidarConfig(latency_s=0.1)))
     with pytest.raises(ValueError, match="do not react"):
         MujocoWorld(make_scenario("robot-freezing:0.5-1.0"), 0)

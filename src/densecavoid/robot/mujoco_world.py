@@ -65,6 +65,9 @@ class MujocoWorld:
         self.config = config = config or SimConfig()
         for name, value in (("dynamics", "ideal"), ("sensors", "clean"), ("people", "scripted")):
             require(getattr(config, name) == value, f"SimConfig.{name}", getattr(config, name), f"{value!r} in MuJoCo")
+        for sensor in (config.lidar, config.camera):
+            clock = config.sensor_clock(sensor)
+            require(clock == (1, 0), f"{type(sensor).__name__} (every, late)", clock, "(1, 0) control steps, in MuJoCo")
         self.spec = spec = scenario.spawn(np.random.default_rng(seed))
         reacts = spec.appearance is not None or (spec.replay is not None and spec.replay.reactive)
         require(not reacts, "people of", spec.scenario, "people who do not react to the robot, in MuJoCo")
