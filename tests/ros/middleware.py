@@ -70,8 +70,7 @@ class Ros:
                 node.wait()
         log = json.loads(out.read_text())
         with AnyReader([self.tmp / f"{name}-recording"]) as reader:
-            counts = {connection.topic: connection.msgcount for connection in reader.connections}
-        assert counts["/scan"] > 10 and counts["/cmd_vel"] > 20, counts
+            log["recorded"] = {connection.topic: connection.msgcount for connection in reader.connections}
         log["node"] = node_log.read_text()
         return log
 

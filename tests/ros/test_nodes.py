@@ -55,6 +55,7 @@ def ros2(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros:
 def check(log: dict[str, Any], version: str) -> None:
     """Drives in each `drive` phase's second half; in each fault phase zero comes within .6 s, with a reason that names
     it; never over the limits; the last words after a signal are zeros."""
+    assert log["recorded"]["/scan"] > 10 and log["recorded"]["/cmd_vel"] > 20, log["recorded"]
     phases = [*log["phases"], (log["end"], "end")]
     for (begin, phase), (end, _) in itertools.pairwise(phases):
         commands = [command for command in log["commands"] if begin <= command[0] < end]

@@ -31,8 +31,8 @@ class Future:
 
 
 @dataclass(frozen=True)
-class _Elsewhere:
-    """The worlds of a scenario with the robot far away from them."""
+class Elsewhere:
+    """The worlds of a scenario with the robot far away from them: where people walk when nobody disturbs them."""
 
     scenario: Scenario
 
@@ -67,7 +67,7 @@ def foresee(scenario: Scenario, seeds: Sequence[int], config: SimConfig) -> list
     specs = [scenario.spawn(np.random.default_rng(int(seed))) for seed in seeds]
     for spec in specs:
         require(spec.replay is None or not spec.replay.reactive, "people of", spec.scenario, "people who do not react")
-    simulator = Simulator(_Elsewhere(scenario), len(seeds), config)
+    simulator = Simulator(Elsewhere(scenario), len(seeds), config)
     simulator.reset(np.asarray(seeds, np.int64))
     steps = round(max(spec.time_limit_s for spec in specs) / config.physics_dt_s)
     first = solid_bodies(simulator, 0)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32
 
-from densecavoid.foresight.future import unheeding
+from densecavoid.foresight.future import Elsewhere, unheeding
 from densecavoid.frames import CameraConfig, Command, LidarConfig, SensorFrame, Truth, require
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.floorplan import FloorPlan
@@ -26,26 +26,10 @@ from densecavoid.sim.world import Simulator
 # Its functions come from a compiled module that type checkers do not see.
 mujoco: Any = importlib.import_module("mujoco")
 
-_FAR_M = 1000.0
 _CELLAR_M = -100.0
 """Parts of people who are not there are kept so far below the ground."""
 _SOLID, _GLASS = 0, 1
 """Groups of geoms: sensors look through glass, and the robot can hit it all the same."""
-
-
-@dataclass(frozen=True)
-class _Elsewhere:
-    """The worlds of a scenario with the robot far away: where people walk when nobody disturbs them."""
-
-    scenario: Scenario
-
-    @property
-    def name(self) -> str:
-        return self.scenario.name
-
-    def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        spec = self.scenario.spawn(rng)
-        return replace(spec, start_pose=(_FAR_M, _FAR_M, 0.0), goal=(_FAR_M + 10.0, _FAR_M))
 
 
 class MujocoWorld:
@@ -74,7 +58,7 @@ class MujocoWorld:
         # MuJoCo collides with a mesh's convex hull, not with its triangles.
         require(not spec.floor_plan.meshes, "things of", spec.scenario, "no meshes, in MuJoCo")
 
-        self._crowd = Simulator(_Elsewhere(scenario), 1, replace(unheeding(config), control_dt_s=config.physics_dt_s))
+        self._crowd = Simulator(Elsewhere(scenario), 1, replace(unheeding(config), control_dt_s=config.physics_dt_s))
         self._crowd.reset(np.array([seed], np.int64))
         self._model = _model(spec, config, self._crowd.body_cylinders(0))
         self._data = mujoco.MjData(self._model)
