@@ -14,6 +14,7 @@ from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import Command, Observation, SensorFrame
 from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.config import PeopleFrom
+from densecavoid.perception.predictor.contract import Predictor
 from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.card import PolicyCard
 from densecavoid.policy.runtime import OnnxPolicy
@@ -79,6 +80,11 @@ class PolicyNavigator:
     def tracks(self) -> Tracks:
         """Everybody tracked now."""
         return self._observer.tracks
+
+    @property
+    def predictor(self) -> Predictor:
+        """Who says where they will be."""
+        return self._observer.people.predictor
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forget the episodes of the marked worlds; another length than before starts all of them afresh."""

@@ -24,7 +24,10 @@ from densecavoid.env.observation import ObserverConfig
 from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, into_robot_frame, require, seen_from
 from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.legs import LegDetector
+from densecavoid.perception.pipeline import expect_people
+from densecavoid.perception.prediction_frame import Expected
 from densecavoid.perception.tracker import Sighting, Tracker
+from densecavoid.perception.tracks import Tracks
 from densecavoid.perception.visibility import lidar_view
 from densecavoid.policy.navigator import PolicyNavigator, read_observer_config
 from densecavoid.policy.runtime import POLICIES, OnnxPolicy
@@ -208,6 +211,15 @@ class FolderPilot:
         """What the policy acted on last, in buffers that the next act writes again."""
         return self._navigator.observation
 
+    @property
+    def tracks(self) -> Tracks:
+        """Everybody tracked, a batch of one."""
+        return self._navigator.tracks if self._legs is None else self._tracker.tracks
+
+    def expected(self, horizons_s: tuple[float, ...]) -> Expected:
+        """Where everybody who is surely a person will be, in the order of their tracks."""
+        return expect_people(self.tracks, self._navigator.predictor, horizons_s, np.ones(1, np.bool_))
+
     def prediction(self) -> np.ndarray | None:
         """What the policy saw of where people will be."""
         observation = self._navigator.observation
@@ -215,7 +227,7 @@ class FolderPilot:
 
     def people(self, pose: tuple[float, float, float]) -> PeopleNear:
         """Everybody who is surely a person."""
-        tracks = self._navigator.tracks if self._legs is None else self._tracker.tracks
+        tracks = self.tracks
         some, where = np.flatnonzero(tracks.confirmed[0]), np.array(pose)
         if len(some) == 0:
             return NOBODY

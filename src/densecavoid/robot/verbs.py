@@ -81,10 +81,10 @@ def _faults(args: Sequence[str]) -> None:
 def replay(args: Sequence[str]) -> None:
     """run a recording (.bag, .mcap, .db3) through the robot's loop"""
     from densecavoid.robot.replay import ReplayConfig
-    from densecavoid.robot.replay import replay as run_replay
+    from densecavoid.viz.replay_film import film_replay  # here alone: robots need no pictures
 
     config = tyro.cli(ReplayConfig, prog="densecavoid replay", args=args)
-    summary = run_replay(config)
+    summary = film_replay(config)
     print(
         f"{summary.scans} scans in {summary.seconds:.1f} s, {summary.commands} commands, {summary.moving_share:.0%} of "
         f"them moving, at most {summary.people_most} people; {summary.act_ms_p50:.2f} ms a step (p99 "
