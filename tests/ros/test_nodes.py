@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip("rosbags")
 from rosbags.highlevel import AnyReader
 
-from densecavoid.robot.folder import export_folder
+from densecavoid.policy.folder_export import export_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILE = ROOT / "ros" / "densecavoid_ros2" / "config" / "fastdds_large_images.xml"

@@ -19,9 +19,10 @@ import numpy as np
 import tyro
 
 from densecavoid.frames import SensorFrame, choose, require
+from densecavoid.policy.folder_export import export_folder
 from densecavoid.robot.bags import Bag, Recorded, Recorder, Topics
 from densecavoid.robot.config import RobotSettings, load_settings
-from densecavoid.robot.folder import FolderPilot, export_folder
+from densecavoid.robot.folder import FolderPilot
 from densecavoid.robot.messages import Mount, stamp_of
 from densecavoid.robot.runtime import RobotRuntime, Step
 

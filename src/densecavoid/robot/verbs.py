@@ -11,6 +11,7 @@ from pathlib import Path
 import tyro
 
 from densecavoid._verbs import Verb, run_verb
+from densecavoid.perception.networks import SHIPPED_DETECTOR
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")
 
@@ -23,14 +24,18 @@ class ExportConfig:
     """A policy that ships, or an ONNX file."""
     out: Path = Path("exported")
     """The folder."""
+    detector: str = SHIPPED_DETECTOR
+    """Who finds people in depth images: a detector that ships, or an ONNX file."""
+    predictor: str | None = None
+    """Who foresees them, for a policy that was trained with a learned predictor; without it, the one that ships."""
 
 
 def export(args: Sequence[str]) -> None:
     """write the folder that robots run: networks, configuration, checksums"""
-    from densecavoid.robot.folder import export_folder
+    from densecavoid.policy.folder_export import export_folder
 
     config = tyro.cli(ExportConfig, prog="densecavoid export", args=args)
-    folder, notes = export_folder(config.policy, config.out)
+    folder, notes = export_folder(config.policy, config.out, config.detector, config.predictor)
     for note in notes:
         print(f"note: {note}")
     print(folder)
