@@ -36,7 +36,9 @@ def drive(seconds: float, scenario: str = "random-sparse-ped", seed: int = 3) ->
     return frames
 
 
-def write_recording(path: Path, kind: Kind, frames: list[SensorFrame], camera: bool = True) -> Path:
+def write_recording(
+    path: Path, kind: Kind, frames: list[SensorFrame], camera: bool = True, compression: str = ""
+) -> Path:
     """The frames as messages.
 
     Args:
@@ -44,12 +46,13 @@ def write_recording(path: Path, kind: Kind, frames: list[SensorFrame], camera: b
         kind: .bag is ROS 1's, the others ROS 2's.
         frames: a tenth of a second apart.
         camera: with depth images.
+        compression: ROS 1: bz2 or lz4; ROS 2: what is compressed (with zstd): file, message or, in .mcap, storage.
 
     Returns:
         What is to be opened: a file, or ROS 2's folder.
     """
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     first = kind == ".bag"
@@ -57,6 +60,10 @@ def write_recording(path: Path, kind: Kind, frames: list[SensorFrame], camera: b
     plugin = StoragePlugin.MCAP if kind == ".mcap" else StoragePlugin.SQLITE3
     place = path.with_suffix(".bag") if first else path
     writer: Any = Writer1(place) if first else Writer(place, version=9, storage_plugin=plugin)
+    if compression and first:
+        writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+    elif compression:
+        writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
     with writer:
         connections: dict[str, Any] = {}
         for topic, name, message, time_s in _messages(store, frames, camera, first):
