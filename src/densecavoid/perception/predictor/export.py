@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from densecavoid.networks.config_json import from_dict, to_json
-from densecavoid.networks.torch_files import fill, read_tensors, save_tensors, to_onnx, write_onnx
+from densecavoid.networks.torch_files import build, read_tensors, save_tensors, to_onnx, write_onnx
 from densecavoid.perception.predictor.card import PredictorCard
 from densecavoid.perception.predictor.compact import CompactConfig, CompactNetwork
 from densecavoid.perception.predictor.features import NEIGHBOUR_NUMBERS, NEIGHBOURS, own_size
@@ -76,9 +76,7 @@ def load_predictor(path: Path) -> tuple[nn.Module, PredictorCard]:
     """
     tensors, metadata = read_tensors(path)
     card = PredictorCard.from_metadata(metadata, str(path))
-    network = make_network(card)
-    fill(network, tensors, path)
-    return network.eval(), card
+    return build(lambda: make_network(card), tensors, path).eval(), card
 
 
 def _export_onnx(path: Path, network: nn.Module, card: PredictorCard) -> None:
