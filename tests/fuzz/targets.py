@@ -143,11 +143,11 @@ def _policy_onnx(card: bytes) -> bytes:
 
 
 def _detector_onnx(card: bytes) -> bytes:
-    return _onnx("densecavoid.detector", card, [("images", 1, [4, 64, 80])], [("head", 2)])
+    return _onnx("densecavoid.detector", card, [("images", 1, [4, 64, 80])], [("head_0", 2), ("head_1", 2)])
 
 
 def _predictor_onnx(card: bytes) -> bytes:
-    return _onnx("densecavoid.predictor", card, [("histories", 1, [32, 4])], [("out", 20)])
+    return _onnx("densecavoid.predictor", card, [("own", 1, [32]), ("neighbours", 1, [4, 4])], [("gaussians", 20)])
 
 
 def _shipped_card(package: str, name: str, key: str) -> bytes:

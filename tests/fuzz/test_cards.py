@@ -74,3 +74,12 @@ def test_a_network_that_its_file_has_no_tensors_for_takes_no_memory() -> None:
     header["__metadata__"]["densecavoid.policy"] = json.dumps(card)
     content = json.dumps(header).encode()
     assert not target.run(struct.pack("<Q", len(content)) + content + seed[8 + size :])
+
+
+def test_an_input_that_is_a_single_number_is_refused() -> None:
+    """A fuzzer's file: the graph's inputs were taken to have rows."""
+    onnx = pytest.importorskip("onnx")
+    target = TARGETS["onnx"]
+    model = onnx.load_from_string(target.seeds()[0])
+    del model.graph.input[2].type.tensor_type.shape.dim[:]
+    assert not target.run(model.SerializeToString())

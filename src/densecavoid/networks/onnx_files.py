@@ -62,11 +62,14 @@ class Shelf:
 
         Raises:
             FileNotFoundError: as `read`.
-            ValueError: if ONNX Runtime cannot load the file.
+            ValueError: if ONNX Runtime cannot load the file, or its metadata is no text.
         """
         content = self.read(name_or_path)
         session = _open_session(content, name_or_path, threads)
-        metadata = session.get_modelmeta().custom_metadata_map
+        try:
+            metadata = session.get_modelmeta().custom_metadata_map
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{name_or_path}: its metadata is no text: {error}") from error
         return OpenedNetwork(session, metadata, hashlib.sha256(content).hexdigest())
 
 
