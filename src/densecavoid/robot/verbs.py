@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
 from densecavoid._verbs import Verb, run_verb
 from densecavoid.perception.networks import SHIPPED_DETECTOR
+
+if TYPE_CHECKING:
+    from densecavoid.robot.replay import ReplayConfig, ReplaySummary
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")
 
@@ -83,13 +87,12 @@ def _faults(args: Sequence[str]) -> None:
     print(table(run_faults(tyro.cli(FaultsConfig, prog="densecavoid robot faults", args=args))))
 
 
-def replay(args: Sequence[str]) -> None:
-    """run a recording (.bag, .mcap, .db3) through the robot's loop"""
+def replay(args: Sequence[str], run: Callable[[ReplayConfig], ReplaySummary]) -> None:
+    """Runs a recording with `run`, which may film it, and prints what came of it."""
     from densecavoid.robot.replay import ReplayConfig
-    from densecavoid.viz.replay_film import film_replay  # here alone: robots need no pictures
 
     config = tyro.cli(ReplayConfig, prog="densecavoid replay", args=args)
-    summary = film_replay(config)
+    summary = run(config)
     print(
         f"{summary.scans} scans in {summary.seconds:.1f} s, {summary.commands} commands, {summary.moving_share:.0%} of "
         f"them moving, at most {summary.people_most} people; {summary.act_ms_p50:.2f} ms a step (p99 "
