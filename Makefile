@@ -10,6 +10,8 @@ PYTEST_ARGS ?=
 PROCESSES ?= 2
 EPISODES ?= 500
 RESULTS ?= runs/results
+SECONDS ?= 60
+TARGETS ?=
 
 # Files of tests are shared out whole: what a file sets up is set up once.
 SPREAD = -n $(PROCESSES) --dist loadfile
@@ -33,7 +35,7 @@ ROS2_PACKAGES := ros-kilted-rclpy==9.1.2 "ros-rclpy[fastrtps]==9.1.2" ros-kilted
 export OMP_WAIT_POLICY := passive
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick test-ros lint benchmark table clean distclean
+.PHONY: help setup demo test quick test-ros lint fuzz benchmark table clean distclean
 
 help: ## list the commands
 	@awk -F ': .*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -56,6 +58,11 @@ lint: $(DEV_STAMP) ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+# Without a wheel for this Python the script says that it skips.
+fuzz: $(TEST_STAMP) ## readers of binary files under atheris: SECONDS of each, TARGETS (all)
+	@$(BIN)/python -c "import atheris" 2>/dev/null || $(PIP) install --quiet --only-binary :all: "atheris>=3,<4" || true
+	$(BIN)/python tests/fuzz/run.py $(TARGETS) --seconds $(SECONDS)
 
 benchmark: $(BASE_STAMP) ## speed of the simulator, printed
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done

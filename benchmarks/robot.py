@@ -25,9 +25,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from densecavoid.frames import CameraConfig, LidarConfig, Observation
+from densecavoid.policy.folder_export import export_folder
 from densecavoid.robot.config import settings_from
 from densecavoid.robot.drivers import Drivers
-from densecavoid.robot.folder import FolderPilot, export_folder
+from densecavoid.robot.folder import FolderPilot
 from densecavoid.robot.runtime import RobotRuntime
 
 _START = """

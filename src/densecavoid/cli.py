@@ -186,10 +186,11 @@ def _robot(args: Sequence[str]) -> None:
 
 
 def _replay(args: Sequence[str]) -> None:
-    """run a recording (.bag, .mcap, .db3) through the robot's loop"""
+    """run a recording (.bag, .mcap, .db3) through the robot's loop, and film it"""
     from densecavoid.robot.verbs import replay
+    from densecavoid.viz.replay_film import film_replay
 
-    replay(args)
+    replay(args, film_replay)
 
 
 VERBS: dict[str, Verb] = {

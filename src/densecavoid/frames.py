@@ -14,6 +14,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
+MAX_RAYS, MAX_PIXELS = 65_536, 1 << 24
+"""Far beyond any sensor: what asks for more is a broken file, and would only take memory."""
+
 
 def _require_mount_and_clock(name: str, config: LidarConfig | CameraConfig) -> None:
     require(math.isfinite(config.mount_x_m), f"{name}.mount_x_m", config.mount_x_m, "finite")
@@ -46,7 +49,7 @@ class LidarConfig:
 
     def __post_init__(self) -> None:
         _require_mount_and_clock("LidarConfig", self)
-        require(self.num_rays >= 2, "LidarConfig.num_rays", self.num_rays, "at least 2")
+        require(2 <= self.num_rays <= MAX_RAYS, "LidarConfig.num_rays", self.num_rays, f"2 to {MAX_RAYS}")
         require(0 < self.fov_rad <= 2 * math.pi, "LidarConfig.fov_rad", self.fov_rad, "in (0, 2 pi]")
         require(
             0 <= self.min_range_m < self.max_range_m,
@@ -97,7 +100,9 @@ class CameraConfig:
             self.mount_pitch_rad,
             "small enough that no pixel looks straight up or down",
         )
-        require(self.width >= 2 and self.height >= 2, "CameraConfig size", (self.width, self.height), "at least 2 x 2")
+        size = self.width, self.height
+        within = min(size) >= 2 and self.width * self.height <= MAX_PIXELS
+        require(within, "CameraConfig size", size, f"at least 2 x 2, at most {MAX_PIXELS} pixels")
         for name in ("fov_horizontal_rad", "fov_vertical_rad"):
             require(0 < getattr(self, name) < math.pi, f"CameraConfig.{name}", getattr(self, name), "in (0, pi)")
         require(

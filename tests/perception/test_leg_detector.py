@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from densecavoid.perception.evaluation import legs as evaluation
 from densecavoid.perception.leg_recordings import empty_rooms, followed_person, half_of, labelled_legs
 from densecavoid.perception.leg_segments import FEATURES
 from densecavoid.perception.leg_training import CHOSEN_ON, TRAINED_ON, fit_forest, save_forest, segments
-from densecavoid.perception.legs import LegDetector, leg_confidence, load_forest
+from densecavoid.perception.legs import LegDetector, leg_confidence, load_forest, shipped_forest
 
 LIDAR = LidarConfig(num_rays=721, fov_rad=math.radians(240), max_range_m=8.0)
 LEG_M = 0.06
@@ -134,6 +135,33 @@ def test_a_forest_of_other_features_is_refused(tmp_path):
         load_forest(tmp_path / "old.npz")
 
 
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"feature": np.full((2, 3), 99, np.int8)}, "features in"),
+        ({"feature": np.full((2, 3), -1, np.int8)}, "features in"),
+        ({"value": np.zeros((2, 3), np.float32)}, "shapes in"),
+        ({"threshold": np.full((2, 3), np.nan, np.float32)}, "finite"),
+        ({"value": np.array([["a"]])}, "numbers"),
+        ({"value": np.array([None])}, "bytes of array"),
+        ({"threshold": np.zeros((1200, 1200), np.float32)}, "at most"),
+    ],
+)
+def test_a_forest_that_would_look_beyond_its_arrays_is_refused(changes: dict[str, np.ndarray], what: str, tmp_path):
+    good: dict[str, Any] = {
+        "features": np.array(FEATURES),
+        "feature": np.zeros((2, 3), np.int8),
+        "threshold": np.zeros((2, 3), np.float32),
+        "value": np.zeros((2, 4), np.float32),
+        "base": np.float64(0.0),
+    }
+    np.savez_compressed(tmp_path / "good.npz", allow_pickle=True, **good)
+    assert load_forest(tmp_path / "good.npz").feature.shape == (2, 3)
+    np.savez_compressed(tmp_path / "bad.npz", allow_pickle=True, **(good | changes))
+    with pytest.raises(ValueError, match=what):
+        load_forest(tmp_path / "bad.npz")
+
+
 def test_positions_are_judged_one_to_one_within_half_a_metre():
     found = np.array([[0.0, 0.0], [0.1, 0.0], [3.0, 0.0], [5.0, 0.0]])
     judged = evaluation.match(
@@ -151,7 +179,7 @@ def test_average_precision_is_the_area_under_the_curve():
 
 
 def test_people_in_simulated_crowds_are_found():
-    summary = evaluation.in_simulation("dense-ped", load_forest(), worlds=3).summary()
+    summary = evaluation.in_simulation("dense-ped", shipped_forest(), worlds=3).summary()
     assert summary["precision"] > 0.93 and summary["recall"] > 0.75 and summary["error_m"] < 0.05
 
 
@@ -164,7 +192,7 @@ def recordings(data_dir: Path) -> Path:
 
 def test_real_people_are_found(recordings):
     tests = [one for one in labelled_legs(recordings) if one.name not in TRAINED_ON + CHOSEN_ON]
-    summary = evaluation.pooled([evaluation.on_recording(one, load_forest(), False) for one in tests]).summary()
+    summary = evaluation.pooled([evaluation.on_recording(one, shipped_forest(), False) for one in tests]).summary()
     assert summary["precision"] > 0.93 and summary["recall"] > 0.70 and summary["error_m"] < 0.1
 
 
@@ -175,7 +203,7 @@ def test_a_person_followed_outdoors_is_found(recordings):
     assert sum(map(len, recording.labels)) == 6179
     part = half_of(recording, first=False)
     part = half_of(part, first=True)  # a quarter is enough
-    assert evaluation.on_recording(part, load_forest(), everywhere=False).summary()["recall"] > 0.8
+    assert evaluation.on_recording(part, shipped_forest(), everywhere=False).summary()["recall"] > 0.8
 
 
 def test_empty_rooms_show_fewer_people_than_the_rule_of_thumb_sees(recordings):
@@ -187,7 +215,7 @@ def test_empty_rooms_show_fewer_people_than_the_rule_of_thumb_sees(recordings):
     room = half_of(half_of(rooms[0], first=False), first=False)
     ours, rule = (
         evaluation.on_recording(room, forest, everywhere=True).summary()["false_per_scan"]
-        for forest in (load_forest(), evaluation.rule_of_thumb())
+        for forest in (shipped_forest(), evaluation.rule_of_thumb())
     )
     assert ours < 0.5 * rule
 

@@ -11,7 +11,11 @@ import pytest
 
 pytest.importorskip("rosbags")
 
+from recordings import Kind, write_recording
+
 from densecavoid.robot.bags import Bag, Topics
+from densecavoid.robot.faults import ScriptedPilot
+from densecavoid.robot.pilot import blank_frame
 from densecavoid.robot.replay import ReplayConfig, replay
 
 
@@ -86,6 +90,36 @@ def test_people_walking_in_front_of_a_standing_scanner_are_not_driven_into(
             checked += 1
             assert at[0]["linear"] <= 0.55, (item.time_s - first, at[0])
     print(f"{checked} scans with something close ahead")
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [
+        (".bag", "bz2"),
+        (".bag", "lz4"),
+        (".mcap", "storage"),
+        (".mcap", "message"),
+        (".db3", "message"),
+        (".db3", "file"),
+    ],
+)
+def test_compressed_recordings_are_read_and_those_that_unpack_to_too_much_are_refused(
+    kind: Kind, compression: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = blank_frame(ScriptedPilot.lidar, ScriptedPilot.camera)
+    path = write_recording(tmp_path / "drive", kind, [frame] * 5, compression=compression)
+
+    def scans() -> int:
+        with Bag(path) as bag:
+            return sum(item.kind == "scan" for item in bag.messages(bag.choose(Topics()))) - bag.unreadable
+
+    assert scans() == 5
+    # As if few bytes stood for many: the limits are lower than what these few messages need.
+    monkeypatch.setattr("densecavoid.robot.bag_limits.MAX_UNPACKED_BYTES", 200)
+    size = path.stat().st_size if path.is_file() else sum(part.stat().st_size for part in path.iterdir())
+    monkeypatch.setattr("densecavoid.robot.bags.MAX_BAG_BYTES", size)
+    with pytest.raises(ValueError, match="unpacks to more than"):
+        scans()
 
 
 @pytest.mark.parametrize(

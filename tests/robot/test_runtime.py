@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,10 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from densecavoid.frames import SensorFrame
+from densecavoid.policy.folder_export import export_folder
 from densecavoid.robot.config import RobotSettings, load_settings, read_yaml, settings_from
 from densecavoid.robot.fault_world import FaultWorld
 from densecavoid.robot.faults import ScriptedPilot
-from densecavoid.robot.folder import MANIFEST, FolderPilot, export_folder, read_manifest
+from densecavoid.robot.folder import FolderPilot
 from densecavoid.robot.messages import Mount
 from densecavoid.robot.pilot import InThread
 from densecavoid.robot.runtime import RobotRuntime
@@ -217,73 +216,6 @@ def test_billions_of_laughs_are_refused_before_they_are_told() -> None:
 def test_any_text_is_settings_or_a_value_error(text: str) -> None:
     with contextlib.suppress(ValueError):
         settings_from(read_yaml(text, "fuzz"), "fuzz")
-
-
-LEAF = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8))
-KEYS = st.sampled_from(["name", "files", "observation", "policy", "bytes", "format", "sha256", "made_with"])
-INNER = st.one_of(LEAF, st.lists(LEAF, max_size=3), st.dictionaries(KEYS, LEAF, max_size=4))
-MIDDLE = st.one_of(INNER, st.dictionaries(KEYS, INNER, max_size=4))
-JSON = st.one_of(MIDDLE, st.dictionaries(KEYS, MIDDLE, max_size=6))
-
-
-@settings(max_examples=150, deadline=None)
-@given(values=JSON)
-def test_any_manifest_is_one_or_a_value_error(values: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
-    folder = tmp_path_factory.mktemp("fuzz")
-    (folder / MANIFEST).write_text(json.dumps(values))
-    with pytest.raises(ValueError):
-        FolderPilot(folder)
-
-
-def test_folders_that_were_tampered_with_are_refused(folder: Path, tmp_path: Path) -> None:
-    def copy(name: str) -> Path:
-        return Path(shutil.copytree(folder, tmp_path / name))
-
-    changed = copy("changed")
-    content = bytearray((changed / "policy.onnx").read_bytes())
-    content[len(content) // 2] ^= 1
-    (changed / "policy.onnx").write_bytes(content)
-    with pytest.raises(ValueError, match=r"sha256 of .*policy\.onnx"):
-        FolderPilot(changed)
-    shorter = copy("shorter")
-    (shorter / "policy.onnx").write_bytes(content[:-1])
-    with pytest.raises(ValueError, match=r"size of .*policy\.onnx"):
-        FolderPilot(shorter)
-    for name in ("../policy.onnx", "/etc/passwd", "a/b", "", MANIFEST):
-        outside = copy(f"outside{abs(hash(name))}")
-        manifest = json.loads((outside / MANIFEST).read_text())
-        manifest["files"]["policy"]["name"] = name
-        (outside / MANIFEST).write_text(json.dumps(manifest))
-        with pytest.raises(ValueError, match="name of a file"):
-            read_manifest(outside)
-    linked = copy("linked")
-    (linked / "policy.onnx").unlink()
-    (linked / "policy.onnx").symlink_to(folder / "policy.onnx")
-    with pytest.raises(ValueError, match="no plain file"):
-        FolderPilot(linked)
-    truth = copy("truth")
-    manifest = json.loads((truth / MANIFEST).read_text())
-    manifest["observation"]["people_from"] = "truth"
-    (truth / MANIFEST).write_text(json.dumps(manifest))
-    assert not FolderPilot(truth)._navigator.privileged  # a robot finds people itself, whatever a file asks for
-    with pytest.raises(ValueError, match="no exported folder"):
-        FolderPilot(tmp_path)
-
-
-def test_any_bytes_as_a_network_are_refused(folder: Path, tmp_path: Path) -> None:
-    import hashlib
-
-    rng = np.random.default_rng(0)
-    good = (folder / "policy.onnx").read_bytes()
-    for index in range(20):
-        bad = bytearray(good[: int(rng.integers(1, len(good)))] if index % 2 else rng.bytes(500))
-        where = Path(shutil.copytree(folder, tmp_path / str(index)))
-        (where / "policy.onnx").write_bytes(bad)
-        manifest = json.loads((where / MANIFEST).read_text())
-        manifest["files"]["policy"] |= {"bytes": len(bad), "sha256": hashlib.sha256(bad).hexdigest()}
-        (where / MANIFEST).write_text(json.dumps(manifest))
-        with pytest.raises(ValueError):
-            FolderPilot(where)
 
 
 def test_half_dead_scanners_and_covered_cameras_are_named() -> None:

@@ -19,7 +19,7 @@ pytest.importorskip("rosbags")
 import middleware
 from middleware import Ros
 
-from densecavoid.robot.folder import export_folder
+from densecavoid.policy.folder_export import export_folder
 
 DRIVE_S = 4.0
 

@@ -13,6 +13,7 @@ from jaxtyping import Bool
 from densecavoid.frames import NUM_SCANS, Observation, SensorFrame, goal_polar, require
 from densecavoid.perception.config import PerceptionConfig
 from densecavoid.perception.memory import ThingsRemembered
+from densecavoid.perception.networks import PeopleNetworks
 from densecavoid.perception.pipeline import PeoplePipeline
 from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
@@ -62,12 +63,12 @@ def _observe(
 class Observer:
     """Turns frames into observations, one memory a world."""
 
-    def __init__(self, config: ObserverConfig, num_worlds: int) -> None:
+    def __init__(self, config: ObserverConfig, num_worlds: int, networks: PeopleNetworks = PeopleNetworks()) -> None:
         require(num_worlds >= 1, "num_worlds", num_worlds, "at least 1")
         self.config = config
         self.num_worlds = num_worlds
         self.privileged = config.privileged
-        self.people = PeoplePipeline(config, num_worlds)
+        self.people = PeoplePipeline(config, num_worlds, networks=networks)
         """Who is seen, followed and foreseen."""
         self._things = (
             ThingsRemembered(config.lidar, config.camera, num_worlds, config.threads) if config.remembers else None

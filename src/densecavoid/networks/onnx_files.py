@@ -10,6 +10,11 @@ from typing import NamedTuple
 
 import onnxruntime
 
+from densecavoid.frames import require
+
+MAX_NETWORK_BYTES = 1 << 30
+"""Four times YOLOv3."""
+
 
 @dataclass(frozen=True)
 class Shelf:
@@ -35,8 +40,11 @@ class Shelf:
 
         Raises:
             FileNotFoundError: if it is neither, saying which are shipped.
+            ValueError: if it is larger than any network (`MAX_NETWORK_BYTES`).
         """
         if Path(name_or_path).is_file():
+            size = Path(name_or_path).stat().st_size
+            require(size <= MAX_NETWORK_BYTES, f"size of {name_or_path}", size, f"at most {MAX_NETWORK_BYTES} bytes")
             return Path(name_or_path).read_bytes()
         if str(name_or_path) in self.names():
             return (resources.files(self.package) / "weights" / f"{name_or_path}.onnx").read_bytes()
@@ -54,11 +62,14 @@ class Shelf:
 
         Raises:
             FileNotFoundError: as `read`.
-            ValueError: if ONNX Runtime cannot load the file.
+            ValueError: if ONNX Runtime cannot load the file, or its metadata is no text.
         """
         content = self.read(name_or_path)
         session = _open_session(content, name_or_path, threads)
-        metadata = session.get_modelmeta().custom_metadata_map
+        try:
+            metadata = session.get_modelmeta().custom_metadata_map
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{name_or_path}: its metadata is no text: {error}") from error
         return OpenedNetwork(session, metadata, hashlib.sha256(content).hexdigest())
 
 

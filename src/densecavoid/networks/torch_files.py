@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import onnx
 import safetensors
@@ -13,6 +14,7 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
+M = TypeVar("M", bound=nn.Module)
 _OPSET = 18
 # It reports operators of torchvision as missing, which no network here uses.
 logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
@@ -40,16 +42,30 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         raise ValueError(f"{path} is not a safetensors file: {error}") from error
 
 
-def fill(network: nn.Module, tensors: dict[str, Tensor], path: Path) -> None:
-    """Gives a network the tensors of a file.
+def build(make: Callable[[], M], tensors: dict[str, Tensor], path: Path) -> M:
+    """A network with the tensors of a file.
+
+    Args:
+        make: makes the network that the file describes. It is made without memory first: a description of a few bytes
+            can ask for any amount, and only one that fits the file's own tensors gets it.
+        tensors: the file's.
+        path: the file, for errors.
 
     Raises:
         ValueError: if they do not fit, naming the file.
     """
     try:
+        with torch.device("meta"):
+            wanted = {name: tuple(tensor.shape) for name, tensor in make().state_dict().items()}
+        found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+        differ = [f"{n} {found.get(n)} for {wanted.get(n)}" for n in wanted | found if found.get(n) != wanted.get(n)]
+        if differ:
+            raise ValueError(f"{', '.join(differ[:3])}{', ...' if len(differ) > 3 else ''}")
+        network = make()
         network.load_state_dict(tensors)
-    except RuntimeError as error:
+    except (RuntimeError, TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: the tensors do not fit the network described beside them: {error}") from error
+    return network
 
 
 def to_onnx(

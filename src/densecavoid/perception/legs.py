@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from densecavoid.frames import LidarConfig, require
+from densecavoid.networks.array_files import read_arrays
 from densecavoid.perception.detections import Detections, allocate_detections
 from densecavoid.perception.leg_segments import FEATURES, MAX_SEGMENTS, describe_scan
 from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
@@ -24,6 +25,7 @@ PAIR_M = 0.55
 LEG_CONFIDENCE = 0.3
 """From which a segment counts as a leg."""
 
+_MAX_BYTES = 4 << 20
 _SHIN_M = 0.045  # a shin's axis lies so far behind the middle of what the scanner sees of it
 _PAIR_STD_M, _SINGLE_STD_M, _STD_PER_M = 0.06, 0.12, 0.01
 _BOTH_LEGS_M = 0.22  # a segment wider than this shows both
@@ -39,20 +41,36 @@ class Forest(NamedTuple):
     base: float  # log-odds to begin with
 
 
-@cache
-def load_forest(path: Path = WEIGHTS) -> Forest:
-    """The trained classifier of segments.
+def load_forest(path: Path) -> Forest:
+    """A trained classifier of segments.
 
     Raises:
-        ValueError: if the file was made for other features.
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is none, or was made for other features.
     """
-    with np.load(path) as file:
-        names = tuple(str(name) for name in file["features"])
-        require(names == FEATURES, f"features of {path.name}", names, str(FEATURES))
-        feature, threshold, value = (file[name] for name in ("feature", "threshold", "value"))
-        return Forest(
-            feature.astype(np.int32), threshold.astype(np.float64), value.astype(np.float64), float(file["base"])
-        )
+    names = tuple(str(name) for name in read_arrays(path, ["features"], _MAX_BYTES)["features"].ravel())
+    require(names == FEATURES, f"features of {path.name}", names, str(FEATURES))
+    parts = read_arrays(path, ["feature", "threshold", "value", "base"], _MAX_BYTES)
+    for name, array in parts.items():
+        require(array.dtype.kind in "iuf", f"{name} of {path.name}", str(array.dtype), "numbers")
+        # A threshold may be infinite: a node that sends everything to one side.
+        sound = not np.isnan(array).any() if name == "threshold" else np.isfinite(array).all()
+        require(bool(sound), f"{name} of {path.name}", "not all finite", "finite")
+    feature, threshold, value, base = parts.values()
+    require(feature.ndim == 2 and feature.size > 0, f"shape of {path.name}'s trees", feature.shape, "(trees, nodes)")
+    trees, nodes = feature.shape
+    shapes = threshold.shape, value.shape, base.shape
+    require(shapes == ((trees, nodes), (trees, nodes + 1), ()), f"shapes in {path.name}", shapes, "those of its trees")
+    # The kernel looks these up without asking.
+    known = feature.min() >= 0 and feature.max() < len(FEATURES)
+    require(bool(known), f"features in {path.name}'s trees", feature.max(), f"0 to {len(FEATURES) - 1}")
+    return Forest(feature.astype(np.int32), threshold.astype(np.float64), value.astype(np.float64), float(base))
+
+
+@cache
+def shipped_forest() -> Forest:
+    """The classifier that comes with the package."""
+    return load_forest(WEIGHTS)
 
 
 @kernel
@@ -157,7 +175,7 @@ class LegDetector:
             forest: the classifier of segments; the shipped one unless given.
         """
         self.lidar, self.threads = lidar, threads
-        self.forest = load_forest() if forest is None else forest
+        self.forest = shipped_forest() if forest is None else forest
         angles = lidar.angles_rad
         self._geometry = np.cos(angles), np.sin(angles), float(angles[1] - angles[0])
         self._detections = allocate_detections(num_worlds)

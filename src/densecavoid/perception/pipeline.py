@@ -14,7 +14,8 @@ from jaxtyping import Bool, UInt8
 from densecavoid.frames import LidarConfig, SensorFrame
 from densecavoid.perception.config import PerceptionConfig
 from densecavoid.perception.detections import Detections
-from densecavoid.perception.legs import LegDetector
+from densecavoid.perception.legs import LegDetector, load_forest
+from densecavoid.perception.networks import PeopleNetworks
 from densecavoid.perception.prediction_frame import FREE, Expected, draw_prediction, shades
 from densecavoid.perception.predictor.contract import Histories, Predictor
 from densecavoid.perception.predictor.registry import make_predictor
@@ -63,6 +64,7 @@ class PeoplePipeline:
         num_worlds: int,
         source: PeopleSource | None = None,
         predictor: Predictor | None = None,
+        networks: PeopleNetworks = PeopleNetworks(),
     ) -> None:
         """
         Args:
@@ -70,10 +72,14 @@ class PeoplePipeline:
             num_worlds: B.
             source: where detections come from, instead of what the configuration names.
             predictor: the same of predictions.
+            networks: the files of what the configuration names.
+
+        Raises:
+            ValueError: if a file is none of its kind, or the predictor does not look as far as the horizons.
         """
         self.config = config
-        self.source = source or make_source(config, num_worlds)
-        self.predictor = predictor or make_predictor(config.predictor)
+        self.source = source or make_source(config, num_worlds, networks.detector)
+        self.predictor = predictor or make_predictor(config.predictor, networks.predictor)
         self.prediction: UInt8[np.ndarray, "B height width"] = np.full(
             (num_worlds, config.camera.height, config.camera.width), FREE, np.uint8
         )
@@ -85,7 +91,10 @@ class PeoplePipeline:
         self._tracker = Tracker(num_worlds, config.threads)
         # Exact places need no legs; neither does a scanner that sees none.
         with_legs = config.people_from in ("detector", "boxes") and sees_legs(config.lidar)
-        self._legs = LegDetector(config.lidar, num_worlds, config.threads) if with_legs else None
+        forest = load_forest(networks.legs) if with_legs and networks.legs is not None else None
+        self._legs = LegDetector(config.lidar, num_worlds, config.threads, forest) if with_legs else None
+        # Of nobody: what it cannot foresee is said now, and not when the first person comes.
+        expect_people(self._tracker.tracks, self.predictor, config.horizons_s, np.zeros(num_worlds, np.bool_))
 
     @property
     def tracks(self) -> Tracks:

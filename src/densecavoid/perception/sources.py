@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,6 +13,7 @@ from densecavoid.frames import CameraConfig, SensorFrame, Truth
 from densecavoid.perception.config import PerceptionConfig
 from densecavoid.perception.detections import Detections, allocate_detections
 from densecavoid.perception.error_model import GHOSTS, DetectorErrors, error_tables, find_with_errors, load_errors
+from densecavoid.perception.networks import SHIPPED_DETECTOR
 from densecavoid.perception.projection import camera_view
 from densecavoid.perception.truth_detector import find_exactly
 from densecavoid.sim._jit import for_worlds, threads_for
@@ -152,7 +154,7 @@ def _key(start: np.ndarray) -> np.ndarray:
 class ImageSource:
     """The network on each image: what a robot has."""
 
-    def __init__(self, camera: CameraConfig, num_worlds: int, detector: str = "depth-yolo") -> None:
+    def __init__(self, camera: CameraConfig, num_worlds: int, detector: str | Path = SHIPPED_DETECTOR) -> None:
         # Imported here so that what needs no network works where there is no ONNX Runtime.
         from densecavoid.perception.detector.detector import DepthDetector
 
@@ -178,10 +180,12 @@ class ImageSource:
         """Nothing to load."""
 
 
-def make_source(config: PerceptionConfig, num_worlds: int) -> PeopleSource | None:
-    """The source that the configuration names; None for nothing."""
+def make_source(
+    config: PerceptionConfig, num_worlds: int, detector: str | Path = SHIPPED_DETECTOR
+) -> PeopleSource | None:
+    """The source that the configuration names, with that detector if it needs one; None for nothing."""
     if config.people_from == "detector":
-        return ImageSource(config.camera, num_worlds)
+        return ImageSource(config.camera, num_worlds, detector)
     if config.people_from == "boxes":
         return BoxSource(config, num_worlds)
     if config.people_from == "truth":

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from densecavoid.networks.config_json import from_dict
-from densecavoid.networks.torch_files import fill, read_tensors, save_tensors, to_onnx, write_onnx
+from densecavoid.networks.torch_files import build, read_tensors, save_tensors, to_onnx, write_onnx
 from densecavoid.policy.card import PolicyCard
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors
 
@@ -69,9 +69,8 @@ def load_safetensors(path: Path) -> tuple[ActorCritic, PolicyCard]:
     """
     tensors, metadata = read_tensors(path)
     card = PolicyCard.from_metadata(metadata, str(path))
-    network = ActorCritic(from_dict(NetworkConfig, card.network))
-    fill(network, tensors, path)
-    return network, card
+    config = from_dict(NetworkConfig, card.network)
+    return build(lambda: ActorCritic(config), tensors, path), card
 
 
 class _Mean(nn.Module):

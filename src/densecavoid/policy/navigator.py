@@ -14,9 +14,12 @@ from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import Command, Observation, SensorFrame
 from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.config import PeopleFrom
+from densecavoid.perception.networks import PeopleNetworks
+from densecavoid.perception.predictor.contract import Predictor
 from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.card import PolicyCard
-from densecavoid.policy.runtime import OnnxPolicy
+from densecavoid.policy.folder import open_folder
+from densecavoid.policy.runtime import POLICIES, OnnxPolicy
 from densecavoid.policy.sensors import mask_observation
 
 
@@ -42,6 +45,7 @@ class PolicyNavigator:
         sample: bool = False,
         seed: int = 0,
         num_worlds: int = 1,
+        networks: PeopleNetworks = PeopleNetworks(),
     ) -> None:
         """
         Args:
@@ -51,13 +55,15 @@ class PolicyNavigator:
             sample: draw around the mean, as in the paper's equation, instead of acting with the mean.
             seed: of the draws.
             num_worlds: batch size until the first `reset`.
+            networks: who finds and foresees people.
         """
         self.policy = policy
         uses_people = policy.card.sensors == "densecavoid"
         self.people_from: PeopleFrom = people_from if uses_people else "nothing"
         self.name = policy.card.name + (f":{people_from}" if uses_people and people_from != "detector" else "")
         self._observer_config = read_observer_config(policy.card.observation, self.people_from)
-        self._observer = Observer(self._observer_config, num_worlds)
+        self._networks = networks
+        self._observer = Observer(self._observer_config, num_worlds, networks)
         self._num_worlds = num_worlds
         self._limits = np.array([policy.card.max_linear_velocity, policy.card.max_angular_velocity], np.float32)
         self.observation: Observation | None = None
@@ -80,11 +86,16 @@ class PolicyNavigator:
         """Everybody tracked now."""
         return self._observer.tracks
 
+    @property
+    def predictor(self) -> Predictor:
+        """Who says where they will be."""
+        return self._observer.people.predictor
+
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forget the episodes of the marked worlds; another length than before starts all of them afresh."""
         if len(which) != self._num_worlds:
             self._num_worlds = len(which)
-            self._observer = Observer(self._observer_config, self._num_worlds)
+            self._observer = Observer(self._observer_config, self._num_worlds, self._networks)
         else:
             self._observer.reset(which)
 
@@ -121,10 +132,18 @@ def read_observer_config(values: Mapping[str, Any], people_from: PeopleFrom) -> 
 def load_policy(
     name_or_path: str | Path, *, people_from: PeopleFrom = "detector", sample: bool = False, seed: int = 0
 ) -> PolicyNavigator:
-    """The navigator of a shipped policy (by name) or of an ONNX file; arguments as `PolicyNavigator`.
+    """The navigator of a shipped policy (by name), of an ONNX file, or of an exported folder with all that is in it.
+
+    Other arguments as `PolicyNavigator`.
 
     Raises:
         FileNotFoundError: if there is no such policy.
-        ValueError: if the file is not a policy of this project, or there is no detector for its camera.
+        ValueError: if the file is not a policy of this project, there is no detector for its camera, or a file of the
+            folder is missing or was changed.
     """
-    return PolicyNavigator(OnnxPolicy(name_or_path), people_from=people_from, sample=sample, seed=seed)
+    # A folder that happens to be called like a shipped policy is not meant.
+    if Path(name_or_path).is_dir() and str(name_or_path) not in POLICIES.names():
+        _, policy, networks = open_folder(Path(name_or_path))
+    else:
+        policy, networks = OnnxPolicy(name_or_path), PeopleNetworks()
+    return PolicyNavigator(policy, people_from=people_from, sample=sample, seed=seed, networks=networks)

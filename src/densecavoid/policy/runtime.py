@@ -67,10 +67,11 @@ class OnnxPolicy:
         for name, (kind, _) in _TYPES.items():
             if inputs[name].type != kind:
                 raise ValueError(f"{source}: input {name} is a {inputs[name].type}, expected a {kind}")
-            if not isinstance(inputs[name].shape[0], str):
-                raise ValueError(
-                    f"{source}: input {name} has the fixed batch size {inputs[name].shape[0]}, expected any"
-                )
+            shape = inputs[name].shape
+            if len(shape) == 0:
+                raise ValueError(f"{source}: input {name} is a single number, expected rows of them")
+            if not isinstance(shape[0], str):
+                raise ValueError(f"{source}: input {name} has the fixed batch size {shape[0]}, expected any")
         outputs = [node.name for node in self._session.get_outputs()]
         if outputs != ["mean"]:
             raise ValueError(f"{source} has the outputs {outputs}, expected ['mean']")

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from densecavoid.frames import require
+from densecavoid.robot.bag_limits import bound_unpacking
 from densecavoid.robot.runtime import Step
 
 MAX_BAG_BYTES = 64 << 30
@@ -51,6 +52,7 @@ def _rosbags() -> Any:
         from rosbags import highlevel
     except ModuleNotFoundError as error:
         raise ValueError(f"recordings need {error.name}: pip install 'densecavoid[robot]'") from None
+    bound_unpacking(MAX_BAG_BYTES)
     return highlevel
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -115,25 +113,9 @@ def settings_from(values: Mapping[str, Any], source: str) -> RobotSettings:
         ValueError: naming the file and the value that is wrong.
     """
     try:
-        settings = from_dict(RobotSettings, dict(values))
-        _require_types(settings, source)
-        return settings
+        return from_dict(RobotSettings, dict(values))
     except (TypeError, ValueError, AttributeError, KeyError, IndexError) as error:
         raise ValueError(f"{source}: {error}") from error
-
-
-def _require_types(config: Any, where: str) -> None:
-    """Text for text, switches for switches, numbers for numbers, all the way down: YAML makes of `no` what it likes."""
-    hints = typing.get_type_hints(type(config))
-    for known in dataclasses.fields(config):
-        value, hint = getattr(config, known.name), hints[known.name]
-        if dataclasses.is_dataclass(value):
-            _require_types(value, f"{where}: {known.name}")
-        for part in value if isinstance(value, tuple) else ():
-            if dataclasses.is_dataclass(part):
-                _require_types(part, f"{where}: {known.name}")
-        if hint in (str, bool, int):
-            require(type(value) is hint, f"{where}: {known.name}", value, f"a {hint.__name__}")
 
 
 def load_settings(name_or_path: str | Path) -> RobotSettings:

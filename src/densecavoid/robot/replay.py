@@ -1,5 +1,6 @@
 """`densecavoid replay`: a recording through the robot's loop, as if it were there now. The robot in it went its own
-way: this shows what would have been commanded at each instant, not where that would have led.
+way: this shows what would have been commanded at each instant, not where that would have led. Draws nothing: whoever
+wants pictures (`viz.replay_film`) is called at each step.
 """
 
 from __future__ import annotations
@@ -8,18 +9,20 @@ import dataclasses
 import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Message
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 import tyro
 
-from densecavoid.frames import require
+from densecavoid.frames import SensorFrame, choose, require
+from densecavoid.policy.folder_export import export_folder
 from densecavoid.robot.bags import Bag, Recorded, Recorder, Topics
 from densecavoid.robot.config import RobotSettings, load_settings
-from densecavoid.robot.folder import FolderPilot, export_folder
+from densecavoid.robot.folder import FolderPilot
 from densecavoid.robot.messages import Mount, stamp_of
 from densecavoid.robot.runtime import RobotRuntime, Step
 
@@ -35,7 +38,9 @@ class ReplayConfig:
     robot: str = "turtlebot2"
     """Settings: a robot that ships, or a YAML file."""
     out: Path = Path("runs/replay")
-    """commands.jsonl, summary.json, and the recording of what was commanded."""
+    """commands.jsonl, summary.json, the film, and the recording of what was commanded."""
+    film: Literal["mp4", "gif", "none"] = "mp4"
+    """Kind of film."""
     scan: str = ""
     """Topic of the scans; the fullest LaserScan without it."""
     depth: str = ""
@@ -50,8 +55,29 @@ class ReplayConfig:
     """Stops after so much of the recording."""
 
     def __post_init__(self) -> None:
+        choose("film", self.film, ("mp4", "gif", "none"))
         require(all(map(math.isfinite, self.goal)), "goal", self.goal, "finite")
         require(self.max_seconds > 0, "max_seconds", self.max_seconds, "positive")
+
+    @property
+    def film_path(self) -> Path | None:
+        return None if self.film == "none" else self.out / f"replay.{self.film}"
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One step of the loop on a recording. Arrays are the loop's own: to look at, and only now."""
+
+    time_s: float
+    """Since the recording's first message."""
+    step: Step
+    sensed: SensorFrame | None
+    """None before the first odometry."""
+    pilot: FolderPilot
+    settings: RobotSettings
+
+
+OnStep = Callable[[Moment], None]
 
 
 @dataclass(frozen=True)
@@ -76,8 +102,17 @@ class ReplaySummary:
 class _Replay:
     """Owns the loop's clock: the recording's own."""
 
-    def __init__(self, runtime: RobotRuntime, topics: Topics, config: ReplayConfig, lines: TextIO) -> None:
-        self.runtime, self.topics, self.config, self.lines = runtime, topics, config, lines
+    def __init__(
+        self,
+        pilot: FolderPilot,
+        settings: RobotSettings,
+        topics: Topics,
+        config: ReplayConfig,
+        lines: TextIO,
+        on_step: OnStep | None,
+    ) -> None:
+        self.pilot, self.topics, self.config, self.lines, self.on_step = pilot, topics, config, lines, on_step
+        self.runtime = RobotRuntime(pilot, settings, threaded=False)
         self.first_s = self.next_s = math.nan
         self.scans = self.people_most = self.commands = self.moving = 0
         self.times_ms: list[float] = []
@@ -144,6 +179,9 @@ class _Replay:
         self.times_ms.append(1e3 * (self._spent_s + time.perf_counter() - begin))
         self._spent_s = 0.0
         self._write(now_s, step)
+        if self.on_step is not None:
+            sensed = self.runtime.sensed(now_s)
+            self.on_step(Moment(now_s - self.first_s, step, sensed, self.pilot, self.runtime.settings))
 
     def _write(self, now_s: float, step: Step) -> None:
         command, people = step.command, step.people
@@ -185,8 +223,12 @@ def _settings(config: ReplayConfig, topics: Topics) -> RobotSettings:
     return dataclasses.replace(settings, **changes)
 
 
-def replay(config: ReplayConfig) -> ReplaySummary:
+def replay(config: ReplayConfig, on_step: OnStep | None = None) -> ReplaySummary:
     """Runs the whole recording.
+
+    Args:
+        config: which, and how.
+        on_step: is shown each step; the time it takes counts for nothing.
 
     Raises:
         ValueError: if the recording, the folder or the settings cannot be read.
@@ -195,9 +237,8 @@ def replay(config: ReplayConfig) -> ReplaySummary:
     folder = config.folder or export_folder("densecavoid", config.out / "exported")[0]
     with Bag(config.bag) as bag, (config.out / "commands.jsonl").open("w") as lines:
         topics = bag.choose(Topics(scan=config.scan, depth=config.depth, odom=config.odom))
-        runtime = RobotRuntime(FolderPilot(folder), _settings(config, topics), threaded=False)
-        runtime.warm_up()
-        run = _Replay(runtime, topics, config, lines)
+        run = _Replay(FolderPilot(folder), _settings(config, topics), topics, config, lines, on_step)
+        run.runtime.warm_up()
         try:
             if config.record:
                 run.recorder = Recorder(config.out / "recording")

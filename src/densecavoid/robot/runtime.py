@@ -6,6 +6,7 @@ Times: `now_s` is a steady clock, `ros_now_s` the clock that stamps are made wit
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ class Step:
     goal_reached: bool
     goal_distance_m: float
     """NaN without a goal."""
+    goal_odom: tuple[float, float] | None
+    """Where it is in the odometry frame; None without a goal, and where its frame is lost."""
     people: PeopleNear
     asked: tuple[float, float]
     """What the policy asked for last."""
@@ -187,6 +190,19 @@ class RobotRuntime:
         except MALFORMED as error:
             return [str(error)]
 
+    def sensed(self, now_s: float) -> SensorFrame | None:
+        """What the last good messages say together, without a goal (NaN); None before the first odometry."""
+        if self._odometry is None:
+            return None
+        return SensorFrame(
+            time_s=np.array([now_s]),
+            scan_m=self._scan_m,
+            depth_m=self._depth_m,
+            odom_pose=np.array([self._odometry.pose]),
+            velocity=np.array([self._odometry.velocity], np.float32),
+            goal_odom=np.full((1, 2), np.nan),
+        )
+
     # -- the velocity out ----------------------------------------------------------------------------------------------
 
     def step(self, now_s: float, ros_now_s: float) -> Step:
@@ -207,20 +223,16 @@ class RobotRuntime:
         command = self.filter.update(
             now_s, pose[:2] if pose is not None else None, fault, wants_to_drive=self._goal is not None
         )
-        return Step(command, fault, self._reached, distance, self._people, self._asked)
+        return Step(command, fault, self._reached, distance, goal_odom, self._people, self._asked)
 
     def _ask(self, now_s: float, goal_odom: tuple[float, float]) -> None:
         # A little early counts as due: timers jitter.
-        if now_s - self._submitted_s < 0.8 / self.settings.policy_hz or self._odometry is None:
+        if now_s - self._submitted_s < 0.8 / self.settings.policy_hz:
             return
-        frame = SensorFrame(
-            time_s=np.array([now_s]),
-            scan_m=self._scan_m,
-            depth_m=self._depth_m,
-            odom_pose=np.array([self._odometry.pose]),
-            velocity=np.array([self._odometry.velocity], np.float32),
-            goal_odom=np.array([goal_odom]),
-        )
+        sensed = self.sensed(now_s)
+        if sensed is None:
+            return
+        frame = dataclasses.replace(sensed, goal_odom=np.array([goal_odom]))
         afresh = self._afresh or now_s - self._submitted_s > _GAP_S
         if self._worker.submit(frame, afresh):
             self._submitted_s, self._afresh = now_s, False

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
 from densecavoid._verbs import Verb, run_verb
+from densecavoid.perception.networks import SHIPPED_DETECTOR
+
+if TYPE_CHECKING:
+    from densecavoid.robot.replay import ReplayConfig, ReplaySummary
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")
 
@@ -23,14 +28,18 @@ class ExportConfig:
     """A policy that ships, or an ONNX file."""
     out: Path = Path("exported")
     """The folder."""
+    detector: str = SHIPPED_DETECTOR
+    """Who finds people in depth images: a detector that ships, or an ONNX file."""
+    predictor: str | None = None
+    """Who foresees them, for a policy that was trained with a learned predictor; without it, the one that ships."""
 
 
 def export(args: Sequence[str]) -> None:
     """write the folder that robots run: networks, configuration, checksums"""
-    from densecavoid.robot.folder import export_folder
+    from densecavoid.policy.folder_export import export_folder
 
     config = tyro.cli(ExportConfig, prog="densecavoid export", args=args)
-    folder, notes = export_folder(config.policy, config.out)
+    folder, notes = export_folder(config.policy, config.out, config.detector, config.predictor)
     for note in notes:
         print(f"note: {note}")
     print(folder)
@@ -78,13 +87,12 @@ def _faults(args: Sequence[str]) -> None:
     print(table(run_faults(tyro.cli(FaultsConfig, prog="densecavoid robot faults", args=args))))
 
 
-def replay(args: Sequence[str]) -> None:
-    """run a recording (.bag, .mcap, .db3) through the robot's loop"""
+def replay(args: Sequence[str], run: Callable[[ReplayConfig], ReplaySummary]) -> None:
+    """Runs a recording with `run`, which may film it, and prints what came of it."""
     from densecavoid.robot.replay import ReplayConfig
-    from densecavoid.robot.replay import replay as run_replay
 
     config = tyro.cli(ReplayConfig, prog="densecavoid replay", args=args)
-    summary = run_replay(config)
+    summary = run(config)
     print(
         f"{summary.scans} scans in {summary.seconds:.1f} s, {summary.commands} commands, {summary.moving_share:.0%} of "
         f"them moving, at most {summary.people_most} people; {summary.act_ms_p50:.2f} ms a step (p99 "

@@ -17,12 +17,24 @@ from densecavoid.frames import CameraConfig, Command, LidarConfig, Navigator, Ob
 from densecavoid.perception.config import PeopleFrom
 from densecavoid.sim.world import Simulator
 from densecavoid.viz import theme
+from densecavoid.viz.page import (
+    GAP,
+    LABEL,
+    PAD,
+    TITLE,
+    Box,
+    blank_page,
+    depth_scale,
+    figure,
+    fitted,
+    inset,
+    label,
+    pill,
+    title,
+)
 from densecavoid.viz.panels import LidarPicture, depth_picture, prediction_picture
-from densecavoid.viz.scene import Canvas, Extent, extent_of
+from densecavoid.viz.scene import Canvas, Extent, extent_of, scan_hits
 from densecavoid.viz.sinks import SUFFIXES, open_sink
-
-Box = tuple[int, int, int, int]
-"""Left, top, width and height in pixels."""
 
 
 @dataclass(frozen=True)
@@ -143,9 +155,6 @@ class _Layout:
     lidar: Box
 
 
-GAP, TITLE, LABEL, PAD = 12, 46, 24, 8
-
-
 def _layout(extent: Extent, width: int, height: int) -> _Layout:
     inner_width, inner_height = width - 2 * GAP, height - TITLE - GAP
     if extent.elongated:
@@ -180,10 +189,10 @@ class _Stage:
         plan, goal = simulator.floor_plan(0), simulator.goal[0].copy()
         extent = extent_of(plan, simulator.start_pose[0, :2], goal)
         layout = _layout(extent, config.width_px, config.height_px)
-        self._scene_box = _inset(layout.scene, PAD, PAD)
-        self._depth_box = _fitted(_inset(layout.depth, PAD, LABEL), 4 / 3)
-        self._prediction_box = _fitted(_inset(layout.prediction, PAD, LABEL), 4 / 3)
-        self._lidar_box = _inset(layout.lidar, PAD, LABEL)
+        self._scene_box = inset(layout.scene, PAD, PAD)
+        self._depth_box = fitted(inset(layout.depth, PAD, LABEL), 4 / 3)
+        self._prediction_box = fitted(inset(layout.prediction, PAD, LABEL), 4 / 3)
+        self._lidar_box = inset(layout.lidar, PAD, LABEL)
         self._view = extent.view(*self._scene_box[2:])
         self._lidar_picture = LidarPicture(self._lidar, self._lidar_box[2:])
         floor = Canvas(self._view)
@@ -213,13 +222,12 @@ class _Stage:
         page.paste(prediction_picture(prediction, (width, height)), (left, top))
         ImageDraw.Draw(page).rectangle((left, top, left + width - 1, top + height - 1), outline=theme.BORDER)
         page.paste(self._lidar_picture.draw(frame.scan_m[0]), self._lidar_box[:2])
-        draw = ImageDraw.Draw(page)
         # Right-aligned in fixed columns, so that the figures do not dance.
-        right, middle = self._width - GAP - 2, TITLE // 2 + 1
-        draw.text((right, middle), f"{simulator.robot_velocity[0, 0]:.2f} m/s", theme.INK, theme.font(16), anchor="rm")
-        draw.text((right - 96, middle), f"{simulator.time_s[0]:.1f} s", theme.INK, theme.font(16), anchor="rm")
+        right = self._width - GAP - 2
+        figure(page, right, f"{simulator.robot_velocity[0, 0]:.2f} m/s")
+        figure(page, right - 96, f"{simulator.time_s[0]:.1f} s")
         if outcome is not None:
-            _pill(page, right - 176, middle, theme.OUTCOME_TEXT[outcome], theme.OUTCOME[outcome])
+            pill(page, right - 176, theme.OUTCOME_TEXT[outcome], theme.OUTCOME[outcome])
         return page
 
     def _scene(self, simulator: Simulator, frame: SensorFrame) -> Image.Image:
@@ -237,11 +245,7 @@ class _Stage:
         canvas.line(np.array(self._path), theme.ROBOT, 2.4, 0.75)
         for k in here:
             canvas.person(people.pos_w[0, k], float(simulator.heading_rad[0, k]), float(people.radius_m[0, k]))
-        scan = frame.scan_m[0]
-        hit = np.isfinite(scan)
-        bearing = pose[2] + self._lidar.angles_rad[hit]
-        hits = pose[:2] + scan[hit, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-        canvas.dots(hits[::2], theme.LIDAR, 0.7)
+        canvas.dots(scan_hits(frame.scan_m[0], self._lidar, pose)[::2], theme.LIDAR, 0.7)
         canvas.robot(pose, self._robot_radius_m)
         return canvas.image()
 
@@ -276,62 +280,12 @@ def _page(
     layout: _Layout, config: FilmConfig, navigator: str, scenario: str, camera: CameraConfig, lidar: LidarConfig
 ) -> Image.Image:
     """Title, cards and labels: all that stays the same."""
-    times = 3
-    size = config.width_px, config.height_px
-    enlarged = Image.new("RGB", (size[0] * times, size[1] * times), theme.PAGE)
-    draw = ImageDraw.Draw(enlarged)
-    for left, top, width, height in (layout.scene, layout.depth, layout.prediction, layout.lidar):
-        box = [times * side for side in (left, top, left + width, top + height)]
-        draw.rounded_rectangle(box, 8 * times, fill=theme.CARD, outline=theme.BORDER, width=times)
-    page = enlarged.reduce(times)
-    draw = ImageDraw.Draw(page)
-    middle = TITLE // 2 + 1
-    draw.text((GAP + 2, middle), navigator, theme.INK, theme.font(19), anchor="lm")
-    end = GAP + 2 + draw.textlength(navigator, theme.font(19))
-    draw.text((end + 9, middle + 1), scenario, theme.MUTED, theme.font(16), anchor="lm")
-    labels = (
-        (layout.depth, "depth", ""),
-        (layout.prediction, "prediction", "expected people"),
-        (layout.lidar, "lidar", f"{lidar.max_range_m:g} m"),
+    page = blank_page(
+        (config.width_px, config.height_px), (layout.scene, layout.depth, layout.prediction, layout.lidar)
     )
-    for (left, top, width, _), name, note in labels:
-        line = top + LABEL // 2 + 1
-        draw.text((left + PAD + 1, line), name, theme.INK, theme.font(13), anchor="lm")
-        draw.text((left + width - PAD - 1, line), note, theme.MUTED, theme.font(12), anchor="rm")
-    left, top, width, _ = layout.depth
-    _depth_scale(page, left + width - PAD - 1, top + LABEL // 2 + 1, camera)
+    title(page, navigator, scenario)
+    label(page, layout.depth, "depth")
+    depth_scale(page, layout.depth, camera)
+    label(page, layout.prediction, "prediction", "expected people")
+    label(page, layout.lidar, "lidar", f"{lidar.max_range_m:g} m")
     return page
-
-
-def _depth_scale(page: Image.Image, right: int, middle: int, camera: CameraConfig) -> None:
-    """The colours of depth from near to far, with their ends, right-aligned."""
-    draw = ImageDraw.Draw(page)
-    near, far = f"{camera.min_range_m:g}", f"{camera.max_range_m:g} m"
-    draw.text((right, middle), far, theme.MUTED, theme.font(12), anchor="rm")
-    bar_right = round(right - draw.textlength(far, theme.font(12))) - 5
-    bar = Image.fromarray(np.repeat(theme.depth_colours(np.linspace(1, 0, 48))[None], 7, axis=0))
-    page.paste(bar, (bar_right - bar.width, middle - 3))
-    draw.text((bar_right - bar.width - 5, middle), near, theme.MUTED, theme.font(12), anchor="rm")
-
-
-def _pill(page: Image.Image, right: int, middle: int, text: str, colour: theme.Colour) -> None:
-    """A rounded label, right-aligned."""
-    width, height, times = round(theme.font(14).getlength(text)) + 24, 26, 4
-    pill = Image.new("RGB", (width * times, height * times), theme.PAGE)
-    ImageDraw.Draw(pill).rounded_rectangle((0, 0, *(side - 1 for side in pill.size)), height * times // 2, fill=colour)
-    page.paste(pill.reduce(times), (right - width, middle - height // 2))
-    ImageDraw.Draw(page).text((right - width / 2, middle), text, theme.CARD, theme.font(14), anchor="mm")
-
-
-def _inset(box: Box, pad: int, above: int) -> Box:
-    """What is left of a card inside its padding and under its label."""
-    left, top, width, height = box
-    return left + pad, top + above, width - 2 * pad, height - above - pad
-
-
-def _fitted(box: Box, aspect: float) -> Box:
-    """The largest centred box of an aspect inside another."""
-    left, top, width, height = box
-    fitted_width = min(width, round(height * aspect))
-    fitted_height = round(fitted_width / aspect)
-    return left + (width - fitted_width) // 2, top + (height - fitted_height) // 2, fitted_width, fitted_height

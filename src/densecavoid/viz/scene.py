@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw
 
+from densecavoid.frames import LidarConfig
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.mesh_contact import GROUND_M
 from densecavoid.sim.people import half_depth
@@ -110,6 +111,16 @@ def extent_of(plan: FloorPlan, start_w: Float[np.ndarray, "2"], goal_w: Float[np
         backwards = goal_w[along] < start_w[along]
         turns = (1 if along == 1 else 0) + (2 if backwards else 0)
     return Extent((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), turns)
+
+
+def scan_hits(
+    scan_m: Float[np.ndarray, "rays"], lidar: LidarConfig, pose_w: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Where the rays of a level scanner end that hit something, for a robot at a pose."""
+    hit = np.isfinite(scan_m)
+    bearing = pose_w[2] + lidar.angles_rad[hit]
+    mount = pose_w[:2] + lidar.mount_x_m * np.array([math.cos(pose_w[2]), math.sin(pose_w[2])])
+    return mount + scan_m[hit, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
 
 
 class Canvas:

@@ -5,7 +5,6 @@ Only what the robot senses is drawn of the room: the returns of its lidar.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from densecavoid.perception.sources import ImageSource
 from densecavoid.scenarios.registry import names
 from densecavoid.sim.config import SimConfig
 from densecavoid.viz import theme
-from densecavoid.viz.scene import Canvas, View
+from densecavoid.viz.scene import Canvas, View, scan_hits
 
 TRAIL_S = 3.0
 _GAP, _LEGEND_PX = 8, 30
@@ -65,10 +64,7 @@ def tracks_panel(
     canvas = Canvas(view)
     canvas.grid()
     canvas.disc(pose[:2], WITHIN_M, None, theme.MUTED)
-    scan, bearing = moment.scan_m[0], pose[2] + lidar.angles_rad
-    hit = np.isfinite(scan)
-    mount = pose[:2] + lidar.mount_x_m * np.array([math.cos(pose[2]), math.sin(pose[2])])
-    canvas.dots(mount + scan[hit, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[hit], theme.WALL, 0.7)
+    canvas.dots(scan_hits(moment.scan_m[0], lidar, pose), theme.WALL, 0.7)
     for person, place in zip(moment.person[0].tolist(), moment.person_pos[0], strict=True):
         if person >= 0 and np.abs(place - pose[:2]).max() < 0.5 * width_m:
             counts = person in now.person

@@ -44,6 +44,9 @@ class OnnxDetector:
         self.card = DetectorCard.from_metadata(opened.metadata, f"the file of detector {str(name_or_path)!r}")
         require(self.card.kind == kind, f"kind of {name_or_path}", self.card.kind, repr(kind))
         self.network = parse_config(self.card.network, str(name_or_path))
+        inputs, outputs = [node.name for node in self._session.get_inputs()], len(self._session.get_outputs())
+        require(inputs == ["images"], f"inputs of {name_or_path}", inputs, "['images']")
+        require(outputs == len(self.network.heads), f"outputs of {name_or_path}", outputs, f"{len(self.network.heads)}")
         least = self.card.threshold if threshold is None else threshold
         self._decode = Decoder(self.network, least, self.card.max_overlap)
 

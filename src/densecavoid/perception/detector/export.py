@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from densecavoid.networks.torch_files import fill, read_tensors, save_tensors, to_onnx, write_onnx
+from densecavoid.networks.torch_files import build, read_tensors, save_tensors, to_onnx, write_onnx
 from densecavoid.perception.detector.card import DetectorCard
 from densecavoid.perception.detector.darknet_config import parse_config, read_config_text
 from densecavoid.perception.detector.darknet_weights import read_weights
@@ -41,9 +41,8 @@ def load_detector(path: Path) -> tuple[DarknetNetwork, DetectorCard]:
     """
     tensors, metadata = read_tensors(path)
     card = DetectorCard.from_metadata(metadata, str(path))
-    network = DarknetNetwork(parse_config(card.network, str(path)))
-    fill(network, tensors, path)
-    return network.eval(), card
+    config = parse_config(card.network, str(path))
+    return build(lambda: DarknetNetwork(config), tensors, path).eval(), card
 
 
 def export_onnx(path: Path, network: DarknetNetwork, card: DetectorCard) -> None:

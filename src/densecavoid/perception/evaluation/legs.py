@@ -23,7 +23,7 @@ from densecavoid.perception.leg_recordings import (
 )
 from densecavoid.perception.leg_segments import FEATURES
 from densecavoid.perception.leg_training import CHOSEN_ON, TRAINED_ON
-from densecavoid.perception.legs import Forest, LegDetector, load_forest
+from densecavoid.perception.legs import Forest, LegDetector, shipped_forest
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.people import LEFT_LEG, RIGHT_LEG
 from densecavoid.sim.world import SimConfig, Simulator
@@ -215,7 +215,7 @@ def evaluate_legs(data: Path | None, worlds: int = 16) -> dict[str, dict[str, di
         data: folder with `leg_tracker/` in it; without it, simulated scans alone.
     """
     tables: dict[str, dict[str, dict[str, float]]] = {}
-    for name, forest in (("forest", load_forest()), ("rule", rule_of_thumb())):
+    for name, forest in (("forest", shipped_forest()), ("rule", rule_of_thumb())):
         sets = {} if data is None else on_recordings(data, forest)
         for scenario in TESTS:
             sets[f"simulated: {scenario}"] = in_simulation(scenario, forest, worlds=worlds)

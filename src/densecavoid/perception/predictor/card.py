@@ -12,7 +12,9 @@ from densecavoid.networks.config_json import read_card, to_json
 
 METADATA_KEY = "densecavoid.predictor"
 CARD_FORMAT = 1
-KINDS = ("compact", "robust-tp")
+INPUTS = {"compact": ("own", "neighbours"), "robust-tp": ("own", "neighbour", "pair", "cells")}
+"""Of the networks, by kind."""
+KINDS = tuple(INPUTS)
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from densecavoid.networks.config_json import from_dict, to_json
-from densecavoid.networks.torch_files import fill, read_tensors, save_tensors, to_onnx, write_onnx
-from densecavoid.perception.predictor.card import PredictorCard
+from densecavoid.networks.torch_files import build, read_tensors, save_tensors, to_onnx, write_onnx
+from densecavoid.perception.predictor.card import INPUTS, PredictorCard
 from densecavoid.perception.predictor.compact import CompactConfig, CompactNetwork
 from densecavoid.perception.predictor.features import NEIGHBOUR_NUMBERS, NEIGHBOURS, own_size
 from densecavoid.perception.predictor.grids import NUM_CELLS, PAIR, SLOTS, STATE
 from densecavoid.perception.predictor.robust_tp import RobustTP, RobustTPConfig
-
-_INPUTS = {"compact": ("own", "neighbours"), "robust-tp": ("own", "neighbour", "pair", "cells")}
 
 
 def make_network(card: PredictorCard) -> nn.Module:
@@ -76,16 +74,14 @@ def load_predictor(path: Path) -> tuple[nn.Module, PredictorCard]:
     """
     tensors, metadata = read_tensors(path)
     card = PredictorCard.from_metadata(metadata, str(path))
-    network = make_network(card)
-    fill(network, tensors, path)
-    return network.eval(), card
+    return build(lambda: make_network(card), tensors, path).eval(), card
 
 
 def _export_onnx(path: Path, network: nn.Module, card: PredictorCard) -> None:
     """Any number of rows to `gaussians` [N, S, 5]."""
     module = copy.deepcopy(network).cpu().eval()
     example = example_inputs(card, rows=3)  # the exporter takes a size of one for a constant
-    model = to_onnx(module, example, _INPUTS[card.kind], ["gaussians"])
+    model = to_onnx(module, example, INPUTS[card.kind], ["gaussians"])
     if card.kind == "robust-tp":
         _store_as_half(model)
     write_onnx(path, model, card.to_metadata())

@@ -10,7 +10,7 @@ from jaxtyping import Float, Float32
 
 from densecavoid.frames import require
 from densecavoid.networks.onnx_files import Shelf
-from densecavoid.perception.predictor.card import PredictorCard
+from densecavoid.perception.predictor.card import INPUTS, PredictorCard
 from densecavoid.perception.predictor.contract import Histories, Prediction, check_horizons
 from densecavoid.perception.predictor.features import compute_features
 from densecavoid.perception.predictor.grids import compute_grids
@@ -132,6 +132,8 @@ class LearnedPredictor:
         self.card = PredictorCard.from_metadata(opened.metadata, f"the file of predictor {str(name_or_path)!r}")
         self.name = self.card.name
         self._inputs = [node.name for node in self._session.get_inputs()]
+        expected = list(INPUTS[self.card.kind])
+        require(self._inputs == expected, f"inputs of {name_or_path}", self._inputs, f"{expected}")
 
     def predict(self, histories: Histories, horizons_s: Sequence[float]) -> Prediction:
         """As `Predictor.predict`. Histories of a shorter period are thinned to the card's.
