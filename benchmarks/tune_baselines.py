@@ -17,6 +17,7 @@ import tyro
 
 from densecavoid.baselines.dwa import Dwa, DwaConfig
 from densecavoid.baselines.frozone import Frozone, FrozoneConfig
+from densecavoid.baselines.lookahead import Lookahead, LookaheadConfig
 from densecavoid.baselines.orca import Orca, OrcaConfig
 from densecavoid.baselines.social_force import SocialForce, SocialForceConfig
 from densecavoid.benchmark.metrics import episode_metrics
@@ -72,6 +73,17 @@ NAVIGATORS: dict[str, tuple[Any, Callable[[Any], Navigator], Ranges]] = {
             "responsibility": (0.5, 1.0),
             "tracking_error_m": (0.03, 0.3),
             "unseen_m": (0.01, 0.2),
+        },
+    ),
+    "lookahead": (
+        LookaheadConfig(),
+        lambda config: Lookahead(config=config),
+        {
+            "slip": (0.03, 0.2),
+            "margin_m": (0.0, 0.06),
+            "near_person_cost": (0.005, 0.1),
+            "near_thing_cost": (0.001, 0.03),
+            "doubt_m_s": (0.0, 0.2),
         },
     ),
     "frozone": (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from densecavoid.baselines import Dwa, Frozone, GoToGoal, Orca, SocialForce
+from densecavoid.baselines import Dwa, Frozone, GoToGoal, Lookahead, Orca, SocialForce
 from densecavoid.benchmark.rollout import run_episodes
 from densecavoid.frames import LidarConfig
 from densecavoid.scenarios import make_scenario
@@ -15,7 +15,14 @@ from densecavoid.sim.spec import Crowd, WorldSpec
 from densecavoid.sim.world import SimConfig, Simulator
 
 CONFIG = SimConfig(threads=1)
-PATHFINDERS = {"dwa": Dwa, "social-force": SocialForce, "orca": Orca, "orca-privileged": lambda: Orca(source="truth")}
+PATHFINDERS = {
+    "dwa": Dwa,
+    "social-force": SocialForce,
+    "orca": Orca,
+    "orca-privileged": lambda: Orca(source="truth"),
+    "lookahead": Lookahead,
+    "lookahead-privileged": lambda: Lookahead(source="truth"),
+}
 EVERYBODY = PATHFINDERS | {"frozone": lambda: Frozone(GoToGoal())}
 
 

@@ -9,7 +9,8 @@ import pytest
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import CameraConfig, Command, LidarConfig, SensorFrame
-from densecavoid.perception.memory import CELL_M, CELLS, LOWEST_M, STEADY_FRAMES, ThingsRemembered
+from densecavoid.perception.memory import CELLS, STEADY_FRAMES, ThingsRemembered
+from densecavoid.perception.rolling_grid import CELL_M, LOWEST_M
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import TRAVERSING
 from densecavoid.sim.spec import Crowd, WorldSpec

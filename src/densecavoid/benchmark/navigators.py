@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from densecavoid.baselines import Dwa, Frozone, GoToGoal, Orca, SocialForce
+from densecavoid.baselines import Dwa, Frozone, GoToGoal, Lookahead, Orca, SocialForce
 from densecavoid.benchmark.oracle import Oracle
 from densecavoid.frames import Navigator, RobotConfig, choose
 from densecavoid.perception.config import PeopleFrom
@@ -29,6 +29,8 @@ _NAVIGATORS: dict[str, Callable[[RobotConfig], Navigator]] = {
     "social-force": SocialForce,
     "orca": Orca,
     "orca-privileged": lambda robot: Orca(robot, source="truth"),
+    "lookahead": Lookahead,
+    "lookahead-privileged": lambda robot: Lookahead(robot, source="truth"),
     "go-to-goal": GoToGoal,
     "oracle": lambda robot: Oracle(),
 }

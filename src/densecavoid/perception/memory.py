@@ -13,20 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, SensorFrame
-from densecavoid.perception.projection import (
-    CameraView,
-    ahead_per_depth,
-    camera_view,
-    from_camera,
-    rise_per_depth,
-)
+from densecavoid.perception.projection import CameraView, camera_view, from_camera
+from densecavoid.perception.rolling_grid import CELL_M, LOWEST_M, find_nearest_things, move_grids, sees_past
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
 
 CELLS = 64
 """Along each side of the grid; a power of two."""
-CELL_M = 0.1
-LOWEST_M = 0.1
-"""What is lower is floor."""
 STEADY_FRAMES = 10
 """Frames in which something must have been seen in a cell. Walking people are gone before."""
 _COUNTED = 255
@@ -58,10 +50,10 @@ def _remember(
         depth_limits: least and greatest depth (m).
         heights: of things, from and to (m).
         scan_shape: field of view (rad), greatest range (m), and how far ahead the lidar stands (m).
-        counts: u8 [B, CELLS, CELLS] frames in which each cell was seen to be taken; changed. A cell's place is its
-            number, counted from the odometry's origin, modulo CELLS.
+        counts: u8 [B, CELLS, CELLS] frames in which each cell was seen to be taken; changed. Cells lie as in a
+            `rolling_grid`.
         centre: i64 [B, 2] number of the cell that the robot is in; changed.
-        nearest: f64 [B, width] room to work.
+        nearest: f64 [B, width, 2] room to work.
         scan: f32 [B, rays] fraction of the greatest range, 1 where nothing is remembered; written.
     """
     half, mask = CELLS // 2, CELLS - 1
@@ -71,27 +63,8 @@ def _remember(
     for b in range(first, last):
         if not which[b]:
             continue
-        # The grid moves: cells that come in are unknown.
-        for axis in range(2):
-            now = math.floor(pose[b, axis] / CELL_M)
-            moved = now - centre[b, axis]
-            centre[b, axis] = now
-            entering, count = (now + half - moved, moved) if moved > 0 else (now - half, -moved)
-            for k in range(min(count, CELLS)):
-                if axis == 0:
-                    counts[b, (entering + k) & mask, :] = 0
-                else:
-                    counts[b, :, (entering + k) & mask] = 0
-        # The nearest thing in each column of the image (metres ahead of the camera, along the ground).
-        nearest[b, :] = np.inf
-        for v in range(depth.shape[1]):
-            ahead, rise = ahead_per_depth(view, v + 0.5), rise_per_depth(view, v + 0.5)
-            for u in range(depth.shape[2]):
-                d = depth[b, v, u]
-                if depth_limits[0] <= d <= depth_limits[1]:
-                    z = view.height_m + rise * d
-                    if heights[0] < z < heights[1] and ahead * d < nearest[b, u]:
-                        nearest[b, u] = ahead * d
+        move_grids(counts[b : b + 1], centre[b], pose[b])
+        find_nearest_things(nearest[b], depth[b], view, depth_limits, heights)
         cos, sin = math.cos(pose[b, 2]), math.sin(pose[b, 2])
         scan[b, :] = 1.0
         for i in range(centre[b, 0] - half, centre[b, 0] + half):
@@ -99,11 +72,9 @@ def _remember(
                 if counts[b, i & mask, j & mask] == 0:
                     continue
                 forward, left = from_camera(view, pose[b], (i + 0.5) * CELL_M, (j + 0.5) * CELL_M)
-                if forward > depth_limits[0] + CELL_M:
-                    u = math.floor(0.5 * view.width - view.focal_x * left / forward)
-                    if 0 <= u < view.width and nearest[b, u] > forward + 1.5 * CELL_M:
-                        counts[b, i & mask, j & mask] = 0
-                        continue
+                if sees_past(nearest[b], view, forward, left, depth_limits[0]):
+                    counts[b, i & mask, j & mask] = 0
+                    continue
                 if counts[b, i & mask, j & mask] >= STEADY_FRAMES:
                     x, y = forward + view.ahead_m - lidar_ahead, left
                     distance = math.sqrt(x * x + y * y)
@@ -117,9 +88,7 @@ def _remember(
                         scan[b, r] = min(scan[b, r], near)
         before_i, before_j = np.int64(-1), np.int64(-1)
         for u in range(view.width):
-            forward = nearest[b, u]
-            left = (0.5 * view.width - (u + 0.5)) / view.focal_x * forward
-            x, y = forward + view.ahead_m, left
+            x, y = nearest[b, u, 0] + view.ahead_m, nearest[b, u, 1]
             if x * x + y * y < (half - 1) * (half - 1) * CELL_M * CELL_M:
                 i = math.floor((pose[b, 0] + cos * x - sin * y) / CELL_M) & mask
                 j = math.floor((pose[b, 1] + sin * x + cos * y) / CELL_M) & mask
@@ -139,7 +108,7 @@ class ThingsRemembered:
         self._threads = threads
         self._counts = np.zeros((num_worlds, CELLS, CELLS), np.uint8)
         self._centre = np.zeros((num_worlds, 2), np.int64)
-        self._nearest = np.zeros((num_worlds, camera.width))
+        self._nearest = np.zeros((num_worlds, camera.width, 2))
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets what was seen in the marked worlds."""
