@@ -29,8 +29,8 @@ from densecavoid.benchmark.runner import TEST_SEEDS_START
 from densecavoid.benchmark.solvable import admit
 from densecavoid.benchmark.statistics import paired_bootstrap, wilson_interval
 from densecavoid.frames import Navigator
+from densecavoid.policy.folder_export import export_folder
 from densecavoid.robot.config import load_settings
-from densecavoid.robot.folder import export_folder
 from densecavoid.robot.node_loop import NodeLoop
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.config import SimConfig

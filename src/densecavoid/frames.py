@@ -203,9 +203,10 @@ class SensorFrame:
 class Observation(NamedTuple):
     """The policy's input, o = [lidar, camera, goal, velocity, prediction] (paper, Section III-A)."""
 
-    lidar: Float32[np.ndarray, "B 3 rays"]
+    lidar: Float32[np.ndarray, "B scans rays"]
     """Three consecutive scans, oldest first, as fractions of the greatest range (1 where nothing is in range). Instead
-    of the oldest a policy may be shown what is remembered of the camera's past (`perception.memory`)."""
+    of the oldest a policy may be shown what is remembered of the camera's past (`perception.memory`), and besides
+    scans of where people are expected (`perception.foretold_scans`)."""
     camera: UInt8[np.ndarray, "B height width"]
     """Nearness of the depth image: 255 at the camera's least range, 1 at its greatest, 0 where there is no depth."""
     goal: Float32[np.ndarray, "B 2"]

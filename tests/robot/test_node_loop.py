@@ -10,10 +10,10 @@ import pytest
 
 from densecavoid.benchmark.rollout import run_episodes
 from densecavoid.frames import Navigator
+from densecavoid.policy.folder_export import export_folder
 from densecavoid.robot import messages
 from densecavoid.robot.config import load_settings
 from densecavoid.robot.drivers import Drivers
-from densecavoid.robot.folder import export_folder
 from densecavoid.robot.node_loop import NodeLoop
 from densecavoid.scenarios import make_scenario
 from densecavoid.scenarios.corridor import corridor_plan

@@ -25,7 +25,7 @@ import numpy as np
 from densecavoid.benchmark.runner import TEST_SEEDS_START
 from densecavoid.benchmark.solvable import admit
 from densecavoid.benchmark.statistics import wilson_interval
-from densecavoid.robot.folder import export_folder
+from densecavoid.policy.folder_export import export_folder
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.config import SimConfig
 

@@ -61,7 +61,7 @@ class DenseCAvoidVectorEnv(VectorEnv):
         config = self.task.simulator.config
         self.num_envs = num_envs
         self._true_people = true_people
-        seen = observation_space(config)
+        seen = observation_space(config, self.task.observer.config.num_scans)
         if true_people > 0:
             assert isinstance(seen, gym.spaces.Dict)
             told = gym.spaces.Box(-np.inf, np.inf, (true_people, PERSON_NUMBERS), np.float32)
@@ -155,7 +155,8 @@ class DenseCAvoidEnv(gym.Env):
         """See `NavigationTask`; `scenario` may be a name, `data` the folder of recordings it needs."""
         scenario = make_scenario(scenario, data) if isinstance(scenario, str) else scenario
         self.task = NavigationTask(scenario, 1, sim, observer, reward)
-        self.observation_space = observation_space(self.task.simulator.config)
+        scans = self.task.observer.config.num_scans
+        self.observation_space = observation_space(self.task.simulator.config, scans)
         self.action_space = action_space(self.task.simulator.config)
 
     def reset(

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.frames import NUM_SCANS, Observation, SensorFrame, goal_polar, require
-from densecavoid.perception.config import PerceptionConfig
+from densecavoid.perception.config import PerceptionConfig, check_ahead
+from densecavoid.perception.foretold_scans import draw_foretold_scans
 from densecavoid.perception.memory import ThingsRemembered
 from densecavoid.perception.networks import PeopleNetworks
-from densecavoid.perception.pipeline import PeoplePipeline
+from densecavoid.perception.pipeline import PeoplePipeline, expect_people
 from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
 
@@ -25,6 +26,18 @@ class ObserverConfig(PerceptionConfig):
 
     remembers: bool = False
     """Whether the oldest of the three scans gives way to things that the camera saw before (`ThingsRemembered`)."""
+    foretold_s: tuple[float, ...] = ()
+    """So far ahead people are shown as further scans (`foretold_scans`); none: not at all."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.foretold_s:
+            check_ahead("foretold_s", self.foretold_s)
+
+    @property
+    def num_scans(self) -> int:
+        """Scans in an observation."""
+        return NUM_SCANS + len(self.foretold_s)
 
 
 @kernel
@@ -74,7 +87,7 @@ class Observer:
             ThingsRemembered(config.lidar, config.camera, num_worlds, config.threads) if config.remembers else None
         )
         self._fresh = np.ones(num_worlds, np.bool_)
-        self._lidar = np.ones((num_worlds, NUM_SCANS, config.lidar.num_rays), np.float32)
+        self._lidar = np.ones((num_worlds, config.num_scans, config.lidar.num_rays), np.float32)
         self._camera = np.zeros((num_worlds, config.camera.height, config.camera.width), np.uint8)
 
     @property
@@ -119,6 +132,11 @@ class Observer:
         if self._things is not None:
             self._things.update(frame, which, self._lidar[:, 0])
         self.people.update(frame, which)
+        if config.foretold_s:
+            expected = expect_people(self.tracks, self.people.predictor, config.foretold_s, which)
+            scans = self._lidar[:, NUM_SCANS:]
+            where = frame.odom_pose, float(config.lidar.fov_rad)
+            for_worlds(draw_foretold_scans, self.num_worlds, threads, which, scans, expected, *where)
         self._fresh[which] = False
         distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
         return Observation(

@@ -163,13 +163,13 @@ class NavigationTask:
         return new.any(axis=1)
 
 
-def observation_space(config: SimConfig) -> spaces.Space:
+def observation_space(config: SimConfig, num_scans: int = NUM_SCANS) -> spaces.Space:
     """o = [lidar, camera, goal, velocity, prediction] of one robot (frames.Observation)."""
     robot, image = config.robot, (config.camera.height, config.camera.width)
     limit = np.array([robot.max_linear_velocity, robot.max_angular_velocity], np.float32)
     return spaces.Dict(
         {
-            "lidar": spaces.Box(0.0, 1.0, (NUM_SCANS, config.lidar.num_rays), np.float32),
+            "lidar": spaces.Box(0.0, 1.0, (num_scans, config.lidar.num_rays), np.float32),
             "camera": spaces.Box(0, 255, image, np.uint8),
             "goal": spaces.Box(
                 np.array([0.0, -np.pi], np.float32), np.array([_FARTHEST_GOAL_M, np.pi], np.float32), dtype=np.float32

@@ -10,7 +10,7 @@ from typing import Literal
 import torch
 
 from densecavoid.env.reward import RewardConfig
-from densecavoid.frames import choose, require
+from densecavoid.frames import NUM_SCANS, choose, require
 from densecavoid.learning.curriculum import STAGES, CurriculumConfig
 from densecavoid.learning.foreseen_worlds import ForesightConfig
 from densecavoid.learning.imitation import ImitationConfig
@@ -79,6 +79,8 @@ class TrainConfig:
     """Iterations between two checkpoints."""
     remembers: bool = False
     """Show things that the camera saw and may not see any more in place of the oldest scan (`ObserverConfig`)."""
+    foretold_s: tuple[float, ...] = ()
+    """So far ahead people are shown as further scans (`ObserverConfig`)."""
     prediction_horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
     people_from: Literal["boxes", "truth"] = "boxes"
@@ -151,6 +153,7 @@ class TrainConfig:
             config = replace(config, people="critic")
         return replace(
             config.with_robot(robot.max_linear_velocity, robot.max_angular_velocity),
+            num_scans=NUM_SCANS + len(self.foretold_s),
             normalise_inputs=self.normalise_inputs or config.normalise_inputs,
             normalise_values=self.normalise_values or config.normalise_values,
         )

@@ -23,6 +23,7 @@ def observer_config(config: TrainConfig) -> ObserverConfig:
         horizons_s=(config.prediction_horizon_s,),
         control_dt_s=config.sim.control_dt_s,
         remembers=config.remembers,
+        foretold_s=config.foretold_s,
         threads=config.sim.threads,
     )
 

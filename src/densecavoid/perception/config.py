@@ -11,6 +11,15 @@ PeopleFrom = Literal["detector", "boxes", "truth", "nothing"]
 PredictorName = Literal["constant-velocity", "kalman", "robust-tp", "compact"]
 
 
+def check_ahead(name: str, times_s: tuple[float, ...]) -> None:
+    """
+    Raises:
+        ValueError: if times are not ascending from above 0 to 5 s, or there is none.
+    """
+    require(len(times_s) > 0 and list(times_s) == sorted(set(times_s)), name, times_s, "one or more, ascending")
+    require(all(0.0 < time_s <= 5.0 for time_s in times_s), name, times_s, "above 0, at most 5 s")
+
+
 @dataclass(frozen=True)
 class PerceptionConfig:
     """How people are perceived."""
@@ -32,10 +41,7 @@ class PerceptionConfig:
     def __post_init__(self) -> None:
         choose("people_from", self.people_from, get_args(PeopleFrom))
         choose("predictor", self.predictor, get_args(PredictorName))
-        ascending = list(self.horizons_s) == sorted(set(self.horizons_s))
-        require(len(self.horizons_s) > 0 and ascending, "horizons_s", self.horizons_s, "one or more, ascending")
-        within = all(0.0 < horizon <= 5.0 for horizon in self.horizons_s)
-        require(within, "horizons_s", self.horizons_s, "above 0, at most 5 s")
+        check_ahead("horizons_s", self.horizons_s)
         require(self.control_dt_s > 0, "control_dt_s", self.control_dt_s, "positive")
         require(self.threads >= 0, "threads", self.threads, "0 (all cores) or more")
 

@@ -98,7 +98,5 @@ def export_onnx(path: Path, network: ActorCritic, card: PolicyCard) -> None:
 
 def _example_observation(config: NetworkConfig, batch: int) -> ObservationTensors:
     height, width = config.image_size
-    image = torch.zeros(batch, height, width, dtype=torch.uint8)
-    return ObservationTensors(
-        torch.ones(batch, 3, config.num_rays), image, torch.zeros(batch, 2), torch.zeros(batch, 2), image.clone()
-    )
+    ranges, image = torch.ones(batch, config.num_scans, config.num_rays), torch.zeros(batch, height, width).byte()
+    return ObservationTensors(ranges, image, torch.zeros(batch, 2), torch.zeros(batch, 2), image.clone())

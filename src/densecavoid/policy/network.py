@@ -21,7 +21,7 @@ from jaxtyping import Float, Float32, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from densecavoid.frames import NUM_SCANS, PERSON_NUMBERS, require
+from densecavoid.frames import PERSON_NUMBERS, require
 from densecavoid.policy.moments import RunningMoments
 from densecavoid.policy.network_config import (
     PRESETS,
@@ -54,7 +54,7 @@ _WORD_OF_WIDTH = {1: torch.uint8, 2: torch.int16, 4: torch.int32, 8: torch.int64
 class ObservationTensors(NamedTuple):
     """`frames.Observation` as tensors of the same shapes and types."""
 
-    lidar: Float[Tensor, "B 3 rays"]
+    lidar: Float[Tensor, "B scans rays"]
     """Stored as float16 in training, to halve what crosses memory."""
     camera: UInt8[Tensor, "B height width"]
     goal: Float32[Tensor, "B 2"]
@@ -81,7 +81,7 @@ class Encoder(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         lidar_sizes, camera_sizes = config.branch_sizes()
-        self.lidar_convs = _convolutions(nn.Conv1d, NUM_SCANS, config.lidar_layers)
+        self.lidar_convs = _convolutions(nn.Conv1d, config.num_scans, config.lidar_layers)
         self.camera_convs = _convolutions(nn.Conv2d, 2, config.camera_layers)
         self.lidar_linears = _linears(
             config.lidar_layers[-1].filters * math.prod(lidar_sizes[-1]), config.lidar_features
@@ -102,7 +102,7 @@ class Encoder(nn.Module):
     def forward(
         self,
         observation: ObservationTensors,
-        ranges: Float32[Tensor, "B 3 rays"],
+        ranges: Float32[Tensor, "B scans rays"],
         state: Float32[Tensor, "B state"],
     ) -> Float32[Tensor, "B features"]:
         """The images of the observation, with ranges and state as `ActorCritic.numbers` prepared them."""
@@ -234,7 +234,7 @@ class ActorCritic(nn.Module):
 
     def numbers(
         self, observation: ObservationTensors
-    ) -> tuple[Float32[Tensor, "B 3 rays"], Float32[Tensor, "B state"]]:
+    ) -> tuple[Float32[Tensor, "B scans rays"], Float32[Tensor, "B state"]]:
         """Ranges, and goal and velocity, scaled to order one and normalised where the configuration says so."""
         ranges, state = self.raw_numbers(observation)
         if self.range_moments is not None and self.state_moments is not None:
@@ -243,7 +243,7 @@ class ActorCritic(nn.Module):
 
     def raw_numbers(
         self, observation: ObservationTensors
-    ) -> tuple[Float32[Tensor, "B 3 rays"], Float32[Tensor, "B state"]]:
+    ) -> tuple[Float32[Tensor, "B scans rays"], Float32[Tensor, "B state"]]:
         """What the running moments of the inputs are taken of."""
         lidar, falloff = observation.lidar.float(), self.config.lidar_falloff
         ranges = torch.exp(-falloff * lidar) if falloff > 0 else lidar

@@ -74,6 +74,8 @@ class NetworkConfig:
     sensors: with raw ranges, 4 took .1 M steps to the first goals instead of .16 M (three seeds each)."""
     shared_encoder: bool
     """Whether actor and critic read the same branches (one pass) or each has its own."""
+    num_scans: int = NUM_SCANS
+    """Scans in an observation: consecutive ones, and those that foretell people (`ObserverConfig.foretold_s`)."""
     num_rays: int = 512
     image_size: tuple[int, int] = (60, 80)
     """Height and width of depth image and prediction frame, pixels."""
@@ -101,6 +103,7 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         for name in ("num_rays", "head_features", "state_gain", "max_linear_velocity", "max_angular_velocity"):
             require(getattr(self, name) > 0, f"NetworkConfig.{name}", getattr(self, name), "positive")
+        require(self.num_scans >= NUM_SCANS, "NetworkConfig.num_scans", self.num_scans, f"at least {NUM_SCANS}")
         for name in ("num_people", "people_features"):
             require(getattr(self, name) > 0, f"NetworkConfig.{name}", getattr(self, name), "positive")
         choose("NetworkConfig.people", self.people, ("unseen", "critic", "actor"))
@@ -200,7 +203,7 @@ def count_mflop(config: NetworkConfig) -> float:
     lidar_sizes, camera_sizes = config.branch_sizes()
     operations, joined = 0, config.num_state_features
     for channels, layers, sizes, features in (
-        (NUM_SCANS, config.lidar_layers, lidar_sizes, config.lidar_features),
+        (config.num_scans, config.lidar_layers, lidar_sizes, config.lidar_features),
         (2, config.camera_layers, camera_sizes, config.camera_features),
     ):
         for layer, size in zip(layers, sizes, strict=True):
