@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from densecavoid.baselines.lookahead import COMMANDS, Lookahead, LookaheadConfig, reachable
+from densecavoid.baselines.lookahead import Lookahead, LookaheadConfig, reachable
 from densecavoid.baselines.lookahead_kernels import Around, spread_distances, worth_of_commands
 from densecavoid.benchmark.rollout import run_episodes
+from densecavoid.foresight.value_field import COMMAND_GRID
 from densecavoid.frames import RobotConfig
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.world import SimConfig, Simulator
@@ -74,7 +75,7 @@ def test_no_robot_leaves_the_cells_that_count_as_reachable(commands: list[tuple[
 
 def worth(navigator: Lookahead, goal: tuple[float, float], people: np.ndarray) -> np.ndarray:
     """Of the navigator's commands in an empty place with people [P, 5]: x, y, velocity x, y, radius."""
-    out, ways = np.zeros((1, len(COMMANDS))), np.zeros(1)
+    out, ways = np.zeros((1, len(COMMAND_GRID))), np.zeros(1)
     nothing, P = np.zeros((1, 1, 2), np.float32), len(people)
     around = Around(
         np.array([goal]),
@@ -134,17 +135,17 @@ def test_commands_are_worth_what_a_search_over_all_sequences_finds(seed: int) ->
     people[:, :2] = rng.uniform([1.2, -0.8], [2.2, 0.8], (2, 2))
     people[:, 2:4], people[:, 4] = rng.uniform(-0.8, 0.2, (2, 2)), 0.25
     found = worth(navigator, goal, people)
-    for c in rng.choice(len(COMMANDS), 4, replace=False):
-        expected = searched_worth(config, COMMANDS[c] * [1.0, 0.4], goal, people)
+    for c in rng.choice(len(COMMAND_GRID), 4, replace=False):
+        expected = searched_worth(config, COMMAND_GRID[c] * [1.0, 0.4], goal, people)
         # Where ways part around somebody, a value between cells is a mixture of both.
-        assert found[c] == pytest.approx(expected, abs=0.06), COMMANDS[c]
+        assert found[c] == pytest.approx(expected, abs=0.06), COMMAND_GRID[c]
 
 
 def test_who_comes_head_on_is_avoided_in_time() -> None:
     """Of two who come along the way, one a little to the left: the robot turns right, long before they meet."""
     navigator = Lookahead(threads=1)
     found = worth(navigator, (10.0, 0.0), np.array([[4.0, 0.1, -0.6, 0.0, 0.25], [4.5, 0.6, -0.6, 0.0, 0.25]]))
-    assert COMMANDS[found.argmax()][0] > 0 and COMMANDS[found.argmax()][1] < 0
+    assert COMMAND_GRID[found.argmax()][0] > 0 and COMMAND_GRID[found.argmax()][1] < 0
 
 
 @pytest.mark.slow

@@ -21,14 +21,11 @@ from jaxtyping import Bool, Int
 from densecavoid.baselines.lookahead_kernels import FRAME, Around, Rules, worth_of_commands
 from densecavoid.baselines.surroundings import PeopleAround
 from densecavoid.foresight.field_kernels import steps_of_commands
-from densecavoid.foresight.value_field import SPEEDS, TURNS
+from densecavoid.foresight.value_field import COMMAND_GRID, SPEEDS, TURNS
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, goal_polar, require
 from densecavoid.perception.rolling_grid import CELL_M
 from densecavoid.perception.static_map import CELLS, StaticMap
 from densecavoid.sim._jit import for_worlds
-
-COMMANDS = np.array([(v, w) for v in (0.0, 0.25, 0.5, 0.75, 1.0) for w in (-1.0, -0.5, 0.0, 0.5, 1.0)])
-"""Those that are weighed, as shares of the robot's greatest."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +131,7 @@ class Lookahead:
         self._sensors, self._threads = (lidar, camera), threads
         self._people = PeopleAround(source, lidar, camera)
         self._map = StaticMap(lidar, camera, robot, 1, threads)
-        self._commands = COMMANDS * [robot.max_linear_velocity, robot.max_angular_velocity]
+        self._commands = COMMAND_GRID * [robot.max_linear_velocity, robot.max_angular_velocity]
         headings = 2 * max(2, round(math.pi / (robot.max_angular_velocity * config.hold_s)))
         step = robot.max_linear_velocity * config.hold_s
         require(

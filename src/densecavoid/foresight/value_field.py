@@ -22,6 +22,8 @@ from densecavoid.sim.spec import WorldSpec
 
 SPEEDS, TURNS = (1.0, 0.5, 0.0), (0.0, 1.0, -1.0)
 """Commands that the programme weighs, as shares of the robot's greatest."""
+COMMAND_GRID = np.array([(v, w) for v in (0.0, 0.25, 0.5, 0.75, 1.0) for w in (-1.0, -0.5, 0.0, 0.5, 1.0)])
+"""Commands that a robot chooses among by their worth: linear and angular velocity as shares of its greatest."""
 _BEYOND_M = 1.5
 """So far around start and goal the robot may go where no walls say more."""
 _LARGEST_ROOM_M = 13.0

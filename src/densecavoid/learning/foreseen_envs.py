@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from densecavoid.env.environments import DenseCAvoidVectorEnv
+from densecavoid.foresight.value_field import COMMAND_GRID
 from densecavoid.frames import require
 from densecavoid.learning.foreseen_worlds import ForeseenWorlds
 
 UNIT = 20.0
 """Reward of the goal, as the paper's (`RewardConfig.goal`)."""
-COMMANDS = np.array([(v, w) for v in (0.0, 0.25, 0.5, 0.75, 1.0) for w in (-1.0, -0.5, 0.0, 0.5, 1.0)])
-"""Those whose values observations have: linear and angular velocity as shares of the robot's greatest."""
 
 
 class ForeseenVectorEnv(DenseCAvoidVectorEnv):
@@ -42,7 +41,7 @@ class ForeseenVectorEnv(DenseCAvoidVectorEnv):
             "'scripted': who reacts has no future of their own",
         )
         self.worlds = worlds
-        self.commands = COMMANDS * [sim.robot.max_linear_velocity, sim.robot.max_angular_velocity]
+        self.commands = COMMAND_GRID * [sim.robot.max_linear_velocity, sim.robot.max_angular_velocity]
         self._slots = np.zeros(num_envs, np.int64)
         self._value = np.zeros(num_envs)
 

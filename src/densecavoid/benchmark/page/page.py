@@ -33,6 +33,8 @@ NAVIGATORS = {
     "social-force": "is pulled to the goal and pushed by people and walls",
     "orca": "picks a velocity that collides with nobody who keeps walking as they do",
     "orca-privileged": "the same, told by the simulator where everybody is and how they move",
+    "lookahead": "plans the next 5.6 s among tracked people, who it takes to walk on, and what it has seen standing",
+    "lookahead-privileged": "the same, told by the simulator where everybody is and how they move",
     "frozone": "densecavoid, turned away from where people would make it freeze",
     "oracle": "not a navigator but a yardstick: plans with knowledge of everybody's whole future",
 }
