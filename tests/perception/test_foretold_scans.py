@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Dict
 
 from densecavoid import make_vec
 from densecavoid.env.observation import ObserverConfig
@@ -66,6 +67,7 @@ def test_observations_have_them_behind_the_lidars_own_and_they_look_ahead() -> N
     for _ in range(30):
         seen, *_ = env.step(np.zeros((8, 2)))
     shape = (NUM_SCANS + 2, LidarConfig().num_rays)
+    assert isinstance(env.single_observation_space, Dict)
     assert env.single_observation_space["lidar"].shape == shape and seen["lidar"].shape == (8, *shape)
     now, then = seen["lidar"][:, NUM_SCANS], seen["lidar"][:, NUM_SCANS + 1]
     nearest_now, nearest_then = REACH_M * now.min(axis=1), REACH_M * then.min(axis=1)
