@@ -231,3 +231,19 @@ def test_half_dead_scanners_and_covered_cameras_are_named() -> None:
     depth.data = bytes(len(depth.data))
     assert "covered?" in drive.runtime.on_depth(depth, *times)
     assert "attribute" in drive.runtime.on_odom(Message(), *times)
+
+
+def test_a_wall_too_near_for_the_camera_is_no_covered_camera() -> None:
+    drive = Drive(ScriptedPilot())
+    drive.goal(100.0)
+    drive.run(1.0)
+    depth, scan = drive.world.depth(), drive.world.scan()
+    depth.data = bytes(len(depth.data))
+    near = np.abs(scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))) < 0.6
+    scan.ranges[near] = 1.0
+    later = drive.world.now_s + 0.05, drive.world.ros_now_s + 0.05
+    scan.header.stamp.sec, scan.header.stamp.nanosec = divmod(round(later[1] * 1e9), 10**9)
+    depth.header.stamp = scan.header.stamp
+    assert "covered?" in drive.runtime.on_depth(depth, *later)
+    assert drive.runtime.on_scan(scan, *later) == ""
+    assert drive.runtime.on_depth(depth, *later) == ""

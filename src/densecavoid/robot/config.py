@@ -50,7 +50,7 @@ class RobotSettings:
     max_blind_rad: float = 0.35
     """The widest gap of invalid rays within 90 degrees either way of straight ahead; more: the scanner is half dead."""
     min_depth_share: float = 0.02
-    """Share of pixels with depth (the floor always has some); less: the camera is covered."""
+    """Share of pixels with depth (the floor has some, unless a wall hides it); less: the camera is covered."""
     enable_stamped_cmd_vel: bool = False
     """TwistStamped instead of Twist."""
     safety: SafetyConfig = field(default_factory=SafetyConfig)

@@ -26,6 +26,7 @@ T = TypeVar("T")
 MALFORMED = (ValueError, TypeError, AttributeError, OverflowError, IndexError, KeyError)
 """What reading a message of the wrong shape raises."""
 _FILTER_POINTS = 1500
+_FILLING = 0.9  # share of the rays within the camera's view that must end too near for it
 _GAP_S = 0.5
 """After a longer time without frames, scans and tracks of before are forgotten."""
 
@@ -135,7 +136,7 @@ class RobotRuntime:
         try:
             depth = self._resample_depth(image, self._intrinsics)
             share = float(np.isfinite(depth).mean())
-            if share < self.settings.min_depth_share:
+            if share < self.settings.min_depth_share and not self._is_view_filled():
                 fault = f"only {share:.1%} of its pixels have depth: covered?"
         except ValueError as error:
             fault = str(error)
@@ -296,6 +297,12 @@ class RobotRuntime:
             except ValueError as error:
                 return str(error), messages.Mount()
         return "", self._mounts[frame]
+
+    def _is_view_filled(self) -> bool:
+        """Whether the scan says that something nearer than the camera can measure stands across its whole view: then
+        there is no depth to be had, and nothing is wrong with the camera."""
+        ahead = np.abs(self.pilot.lidar.angles_rad) <= self.pilot.camera.fov_horizontal_rad / 2
+        return float((self._scan_m[0, ahead] < self.pilot.camera.min_range_m).mean()) >= _FILLING
 
     def _blindness(self, seen: np.ndarray) -> str:
         """What is wrong with where the scanner looks: too little straight ahead, or a wide gap."""
