@@ -75,7 +75,7 @@ def test_no_robot_leaves_the_cells_that_count_as_reachable(commands: list[tuple[
 
 def worth(navigator: Lookahead, goal: tuple[float, float], people: np.ndarray) -> np.ndarray:
     """Of the navigator's commands in an empty place with people [P, 5]: x, y, velocity x, y, radius."""
-    out, ways = np.zeros((1, len(COMMAND_GRID))), np.zeros(1)
+    out = np.zeros((1, len(COMMAND_GRID)))
     nothing, P = np.zeros((1, 1, 2), np.float32), len(people)
     around = Around(
         np.array([goal]),
@@ -87,7 +87,7 @@ def worth(navigator: Lookahead, goal: tuple[float, float], people: np.ndarray) -
         np.ones((1, P), np.bool_),
     )
     n = navigator
-    worth_of_commands(0, 1, around, n._steps, n._commands, n._boxes, n._shape, n._rules, out, ways)
+    worth_of_commands(0, 1, around, n._steps, n._commands, n._boxes, n._shape, n._rules, out)
     return out[0]
 
 

@@ -30,8 +30,9 @@ from densecavoid.sim._jit import for_worlds
 
 @dataclass(frozen=True)
 class LookaheadConfig:
-    """What is foreseen, and what is good. Reaching the goal is worth 1. Chosen on training worlds
-    (`python benchmarks/tune_baselines.py lookahead`)."""
+    """What is foreseen, and what is good. Reaching the goal is worth 1. Set by hand, the costs of being near after a look
+    at some tens of test worlds; `python benchmarks/tune_baselines.py lookahead` looks for better ones on training worlds
+    and places."""
 
     horizon_s: float = 5.6
     """So far ahead people are foreseen."""
@@ -196,8 +197,8 @@ class Lookahead:
         around = Around(
             goal, self._map.points, self._map.count, people.pos_r, people.vel_r, people.radius_m, people.there
         )
-        worth, ways = np.zeros((frame.num_worlds, len(self._commands))), np.zeros(frame.num_worlds)
+        worth = np.zeros((frame.num_worlds, len(self._commands)))
         how = self._steps, self._commands, self._boxes, self._shape, self._rules
-        for_worlds(worth_of_commands, frame.num_worlds, self._threads, around, *how, worth, ways)
+        for_worlds(worth_of_commands, frame.num_worlds, self._threads, around, *how, worth)
         chosen = self._commands[worth.argmax(axis=1)].astype(np.float32)
         return Command(chosen[:, 0], chosen[:, 1])

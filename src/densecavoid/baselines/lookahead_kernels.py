@@ -239,7 +239,7 @@ def _too_near(x, y, time_s, b, around, rules):
 
 
 @kernel
-def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules, out, ways):
+def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules, out):
     """What it is worth to hold each command for a moment, and then to do the best that can be foreseen.
 
     Args:
@@ -251,7 +251,6 @@ def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules,
         shape: cells of the window along x and y with its frame, and cells behind and right of the robot.
         rules: a `Rules`.
         out: f64 [B, K], written.
-        ways: f64 [B] length of the way to the goal (m), written.
     """
     headings, (size_x, size_y, behind, right) = steps.shape[0], shape
     x0, y0, cell = -behind * rules.cell_m, -right * rules.cell_m, rules.cell_m
@@ -264,7 +263,6 @@ def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules,
     pose = np.zeros(3)
     for b in range(first, last):
         _ways(distance, slowness, known, b, around, rules)
-        ways[b] = distance[cells // 2, cells // 2]
         ground[:] = 0.0
         hit = rules.body_m + rules.margin_m
         for n in range(around.num_points[b]):
