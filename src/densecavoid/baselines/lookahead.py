@@ -30,9 +30,11 @@ from densecavoid.sim._jit import for_worlds
 
 @dataclass(frozen=True)
 class LookaheadConfig:
-    """What is foreseen, and what is good. Reaching the goal is worth 1. Set by hand, the costs of being near after a look
-    at some tens of test worlds; `python benchmarks/tune_baselines.py lookahead` looks for better ones on training worlds
-    and places."""
+    """What is foreseen, and what is good. Reaching the goal is worth 1.
+
+    Set by hand, the costs of being near after a look at some tens of test worlds;
+    `python benchmarks/tune_baselines.py lookahead` looks for better ones on training worlds and places.
+    """
 
     horizon_s: float = 5.6
     """So far ahead people are foreseen."""
