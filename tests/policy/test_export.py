@@ -13,16 +13,16 @@ torch = pytest.importorskip("torch")
 
 import onnx  # noqa: E402
 
-from densecavoid.frames import Observation  # noqa: E402
+from densecavoid.frames import NUM_SCANS, Observation  # noqa: E402
 from densecavoid.policy.export import describe, export_onnx, load_safetensors, save_safetensors  # noqa: E402
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors  # noqa: E402
 from densecavoid.policy.runtime import POLICIES, OnnxPolicy  # noqa: E402
 
 
-def random_observation(batch: int) -> Observation:
+def random_observation(batch: int, scans: int = NUM_SCANS) -> Observation:
     rng = np.random.default_rng(batch)
     return Observation(
-        rng.random((batch, 3, 512), dtype=np.float32),
+        rng.random((batch, scans, 512), dtype=np.float32),
         rng.integers(0, 256, (batch, 60, 80), dtype=np.uint8),
         rng.uniform([0, -3], [30, 3], (batch, 2)).astype(np.float32),
         rng.uniform([0, -0.4], [1, 0.4], (batch, 2)).astype(np.float32),
@@ -129,7 +129,8 @@ def test_weights_that_do_not_fit_their_description_are_refused(tmp_path: Path) -
 
 @pytest.mark.parametrize("name", POLICIES.names())
 def test_each_shipped_policy_loads_by_name_and_drives_within_limits(name: str) -> None:
-    mean = OnnxPolicy(name)(random_observation(3))
+    policy = OnnxPolicy(name)
+    mean = policy(random_observation(3, policy.card.network["num_scans"]))
     assert np.all((mean[:, 0] >= 0) & (mean[:, 0] <= 1.0)) and np.all(np.abs(mean[:, 1]) <= 0.4)
 
 
@@ -141,7 +142,7 @@ def test_each_shipped_policy_is_the_same_in_both_its_forms(name: str) -> None:
     with resources.as_file(resources.files("densecavoid.policy") / "weights" / f"{name}.safetensors") as path:
         network, card = load_safetensors(path)
     assert card == policy.card
-    observation = random_observation(7)
+    observation = random_observation(7, network.config.num_scans)
     with torch.no_grad():
         expected = network.mean(ObservationTensors(*map(torch.from_numpy, observation))).numpy()
     np.testing.assert_allclose(policy(observation), expected, atol=1e-4, rtol=0)

@@ -16,6 +16,7 @@ from densecavoid.perception.foretold_scans import draw_foretold_scans
 from densecavoid.perception.memory import ThingsRemembered
 from densecavoid.perception.networks import PeopleNetworks
 from densecavoid.perception.pipeline import PeoplePipeline, expect_people
+from densecavoid.perception.predictor.registry import make_predictor
 from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
 
@@ -27,7 +28,8 @@ class ObserverConfig(PerceptionConfig):
     remembers: bool = False
     """Whether the oldest of the three scans gives way to things that the camera saw before (`ThingsRemembered`)."""
     foretold_s: tuple[float, ...] = ()
-    """So far ahead people are shown as further scans (`foretold_scans`); none: not at all."""
+    """So far ahead people are shown as further scans (`foretold_scans`), if they walk on as they do: learned predictors
+    do not look so far. None: not at all."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -86,6 +88,7 @@ class Observer:
         self._things = (
             ThingsRemembered(config.lidar, config.camera, num_worlds, config.threads) if config.remembers else None
         )
+        self._walking_on = make_predictor("constant-velocity")
         self._fresh = np.ones(num_worlds, np.bool_)
         self._lidar = np.ones((num_worlds, config.num_scans, config.lidar.num_rays), np.float32)
         self._camera = np.zeros((num_worlds, config.camera.height, config.camera.width), np.uint8)
@@ -133,7 +136,7 @@ class Observer:
             self._things.update(frame, which, self._lidar[:, 0])
         self.people.update(frame, which)
         if config.foretold_s:
-            expected = expect_people(self.tracks, self.people.predictor, config.foretold_s, which)
+            expected = expect_people(self.tracks, self._walking_on, config.foretold_s, which)
             scans = self._lidar[:, NUM_SCANS:]
             where = frame.odom_pose, float(config.lidar.fov_rad)
             for_worlds(draw_foretold_scans, self.num_worlds, threads, which, scans, expected, *where)
