@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scene import Scene
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import CameraConfig, Command, LidarConfig, SensorFrame
@@ -13,23 +14,11 @@ from densecavoid.perception.memory import CELLS, STEADY_FRAMES, ThingsRemembered
 from densecavoid.perception.rolling_grid import CELL_M, LOWEST_M
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import TRAVERSING
-from densecavoid.sim.spec import Crowd, WorldSpec
+from densecavoid.sim.spec import Crowd
 from densecavoid.sim.world import SimConfig, Simulator
 
 ONE = np.ones(1, np.bool_)
 LIDAR, SMALL = LidarConfig(num_rays=64), CameraConfig(width=12, height=8)
-
-
-class Scene:
-    """A robot at the origin looking along +x."""
-
-    name = "scene"
-
-    def __init__(self, plan: FloorPlan, crowd: Crowd | None = None) -> None:
-        self.spec = WorldSpec("scene", plan, (0.0, 0.0, 0.0), (20.0, 0.0), crowd or Crowd.nobody())
-
-    def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        return self.spec
 
 
 def frame(depth: np.ndarray, pose: tuple[float, float, float], camera: CameraConfig = SMALL) -> SensorFrame:

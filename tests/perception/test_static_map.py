@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scene import Scene
 
 from densecavoid.baselines.surroundings import People, PeopleAround
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig
@@ -13,20 +14,8 @@ from densecavoid.perception.rolling_grid import CELL_M
 from densecavoid.perception.static_map import StaticMap
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import TRAVERSING
-from densecavoid.sim.spec import Crowd, WorldSpec
+from densecavoid.sim.spec import Crowd
 from densecavoid.sim.world import SimConfig, Simulator
-
-
-class Scene:
-    """A robot at the origin looking along +x."""
-
-    name = "scene"
-
-    def __init__(self, plan: FloorPlan, crowd: Crowd | None = None) -> None:
-        self.spec = WorldSpec("scene", plan, (0.0, 0.0, 0.0), (20.0, 0.0), crowd or Crowd.nobody())
-
-    def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        return self.spec
 
 
 def drive(scene: Scene, commands: list[tuple[float, float, int]], camera: CameraConfig = CameraConfig()):

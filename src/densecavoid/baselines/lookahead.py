@@ -82,9 +82,6 @@ class LookaheadConfig:
         )
 
 
-_MAP_CELL_M = 0.1
-
-
 def reachable(moments: int, headings: int, hold_s: float, cell_m: float, robot: RobotConfig) -> Int[np.ndarray, "M 5"]:
     """Where a robot that starts at the middle of cell (0, 0), looking along x, can be after each moment: first and last
     cell (excluded) along x and y, and headings that it can have turned. Neighbours between which values are
@@ -166,8 +163,8 @@ class Lookahead:
             doubt_m_s=config.doubt_m_s,
             standing_m_s=config.standing_m_s,
             goal_m=config.goal_m,
-            map_cells=round(CELLS * CELL_M / _MAP_CELL_M),
-            map_cell_m=_MAP_CELL_M,
+            map_cells=CELLS,
+            map_cell_m=CELL_M,
             max_linear=robot.max_linear_velocity,
             max_angular=robot.max_angular_velocity,
         )

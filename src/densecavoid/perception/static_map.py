@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, SensorFrame
 from densecavoid.perception.projection import CameraView, camera_view, from_camera
 from densecavoid.perception.rolling_grid import CELL_M, LOWEST_M, find_nearest_things, move_grids, sees_past
-from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
+from densecavoid.sim._jit import for_worlds, inner, kernel
 
 CELLS = 128
 """Along each side of the grid; a power of two."""
@@ -71,7 +71,6 @@ def _trace(seen, places, scan, angles, pose, mount_x, max_range):
 def _update(
     first,
     last,
-    which,
     scan,
     angles,
     depth,
@@ -104,8 +103,6 @@ def _update(
     half, mask = CELLS // 2, CELLS - 1
     mount_x, max_range, depth_limits, heights = limits
     for b in range(first, last):
-        if not which[b]:
-            continue
         lidar, camera = grids[b, 0], grids[b, 1]
         move_grids(grids[b], centre[b], pose[b])
         seen[b, :, :] = 0
@@ -205,12 +202,10 @@ class StaticMap:
             frame: of the sensors.
             people, radius_m, there: who is tracked, in the robot's frame.
         """
-        which = np.ones(len(self.count), np.bool_)
         for_worlds(
             _update,
-            len(which),
-            threads_for(which, self._threads),
-            which,
+            len(self.count),
+            self._threads,
             frame.scan_m,
             self._angles,
             frame.depth_m,
