@@ -86,7 +86,11 @@ def assert_same(one: Any, other: Any, key: str = "") -> None:
         assert one == other, key
 
 
-def test_a_run_stopped_and_resumed_gives_the_same_bits_as_one_that_never_stopped(config: TrainConfig) -> None:
+@pytest.mark.parametrize("averaging", [0.0, 0.5])
+def test_a_run_stopped_and_resumed_gives_the_same_bits_as_one_that_never_stopped(
+    config: TrainConfig, averaging: float
+) -> None:
+    config = dataclasses.replace(config, averaging=averaging)
     whole = dataclasses.replace(config, run_dir=config.run_dir / "whole")
     run(whole)
     parts = dataclasses.replace(config, run_dir=config.run_dir / "parts")
@@ -105,7 +109,22 @@ def test_a_run_stopped_and_resumed_gives_the_same_bits_as_one_that_never_stopped
     assert_same(one, other)
 
 
-def test_the_test_above_can_fail(config: TrainConfig) -> None:
+def test_the_policy_given_out_is_the_mean_over_updates(config: TrainConfig) -> None:
+    """Each counts as much as all before it, with averaging .5; and what is learned does not depend on it."""
+    plain, averaged = (Trainer(dataclasses.replace(config, averaging=share), make_envs) for share in (0.0, 0.5))
+    weights = []
+    for _ in range(3):
+        plain.iterate()
+        averaged.iterate()
+        weights.append(plain.network.actor_output.weight.detach().clone())
+    assert torch.equal(averaged.network.actor_output.weight, weights[-1])
+    expected = 0.25 * weights[0] + 0.25 * weights[1] + 0.5 * weights[2]
+    torch.testing.assert_close(averaged.policy.actor_output.weight, expected)
+    assert not torch.equal(averaged.policy.actor_output.weight, weights[-1])
+    assert plain.policy is plain.network
+
+
+def test_the_comparison_of_bits_can_fail(config: TrainConfig) -> None:
     """Another seed, and a generator that is not restored, are both seen by the comparison."""
     states = []
     for seed in (0, 0, 1):

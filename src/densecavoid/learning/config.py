@@ -75,6 +75,9 @@ class TrainConfig:
     """Compile the network with torch.compile. On an AVX2 processor an update then took twice as long."""
     noise_persistence: float = 0.0
     """Share of the actions' noise that is kept from one step to the next, in [0, 1): tries go on for longer."""
+    averaging: float = 0.0
+    """The policy that is given out is the mean over updates, the latest counting most: so much of it is kept at each,
+    in [0, 1). Learning goes on with the latest weights; 0 gives those out."""
     checkpoint_every: int = 25
     """Iterations between two checkpoints."""
     remembers: bool = False
@@ -104,6 +107,7 @@ class TrainConfig:
         choose("critic", self.critic, ("as-network", "shared", "separate"))
         choose("storage", self.storage, ("float16", "float32"))
         require(0 <= self.noise_persistence < 1, "TrainConfig.noise_persistence", self.noise_persistence, "in [0, 1)")
+        require(0 <= self.averaging < 1, "TrainConfig.averaging", self.averaging, "in [0, 1)")
         foreseen = self.foresight.steps > 0
         require(
             not (foreseen and self.imitation.teacher is not None),

@@ -99,11 +99,11 @@ def export_policies(trainer: Trainer, folder: RunFolder) -> Path:
     Returns:
         The path of `policy.onnx`, or of a teacher's `policy.safetensors`.
     """
-    path = _export(trainer.network, trainer, folder.path / "policy", trainer.steps)
+    path = _export(trainer.policy, trainer, folder.path / "policy", trainer.steps)
     if folder.best_checkpoint.exists():
         best = load_checkpoint(folder.best_checkpoint)
         network = ActorCritic(trainer.network.config)
-        network.load_state_dict(as_tensors(best["network"]))
+        network.load_state_dict(as_tensors(best["averaged"] or best["network"]))
         _export(network, trainer, folder.path / "best", best["counters"]["steps"])
     return path
 

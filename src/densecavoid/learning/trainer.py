@@ -6,10 +6,11 @@ import dataclasses
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from densecavoid.frames import require
 from densecavoid.learning import ppo
@@ -63,6 +64,11 @@ class Trainer:
         torch.manual_seed(config.seed)
         self.network = self._initial_network().to(self.device)
         self.network.set_compute_dtype(config.torch_dtype)
+        self._averaged = (
+            AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(config.averaging))
+            if config.averaging > 0
+            else None
+        )
         self.teacher = self._load_teacher()
         if config.compiled:
             self.network.compile()
@@ -111,6 +117,8 @@ class Trainer:
         collected_s = time.perf_counter()
         name, learned = self._learn(rollout, teacher)
         ppo.follow_inputs(self.network, rollout, self.peers)
+        if self._averaged is not None:
+            self._averaged.update_parameters(self.network)
         updated_s = time.perf_counter()
         self.steps += self.steps_per_iteration
         self.iteration += 1
@@ -137,6 +145,11 @@ class Trainer:
             **{f"reward/{name}": value for name, value in rollout.reward_terms.items()},
             **{f"{name}/{key}": value for key, value in dataclasses.asdict(learned).items()},
         }
+
+    @property
+    def policy(self) -> ActorCritic:
+        """What is given out: the weights of the last update, or with `averaging` their mean over the updates."""
+        return self.network if self._averaged is None else cast(ActorCritic, self._averaged.module)
 
     @property
     def stage(self) -> str:
@@ -176,6 +189,7 @@ class Trainer:
             "counters": {"steps": self.steps, "iteration": self.iteration, "best_score": list(self.best_score)},
             "network_config": to_json(self.network.config),
             "network": self.network.state_dict(),
+            "averaged": {} if self._averaged is None else self.policy.state_dict(),
             "optimiser": {
                 "state": {str(index): entries for index, entries in optimiser["state"].items()},
                 "groups": optimiser["param_groups"],
@@ -202,6 +216,9 @@ class Trainer:
         stage, level, rate = state["counters"]["best_score"]
         self.best_score = (stage, level, rate)
         self.network.load_state_dict(as_tensors(state["network"]))
+        if self._averaged is not None:
+            self.policy.load_state_dict(as_tensors(state["averaged"]))
+            self._averaged.n_averaged.fill_(self.iteration)
         self.optimiser.load_state_dict(
             {
                 "state": {int(i): as_tensors(entries) for i, entries in state["optimiser"].get("state", {}).items()},
