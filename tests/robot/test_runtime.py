@@ -133,6 +133,25 @@ def test_observations_give_torchs_commands(folder: Path) -> None:
         np.testing.assert_allclose(step.asked, np.clip(mean, [0.0, -0.4], [1.0, 0.4]), atol=1e-4)
 
 
+def test_a_goal_that_is_taken_away_stops_the_robot_and_is_another_than_the_next() -> None:
+    drive = Drive(ScriptedPilot())
+    drive.run(0.5)
+    assert drive.runtime.pose_odom == (0.0, 0.0, 0.0)
+    drive.goal(100.0)
+    first = drive.runtime.goal_number
+    assert drive.run(2.0).command.linear_velocity > 0.1
+    drive.runtime.end_goal("nobody wants it")
+    step = drive.run(DT)
+    assert (step.command.linear_velocity, step.command.angular_velocity) == (0.0, 0.0)
+    assert step.message == "nobody wants it" and not step.goal_reached and math.isnan(step.goal_distance_m)
+    assert drive.run(2.0).command.linear_velocity == 0.0
+    numbers = [first, drive.runtime.goal_number]
+    for place in (100.0, math.nan):  # one that is refused is another too
+        drive.goal(place)
+        numbers.append(drive.runtime.goal_number)
+    assert len(set(numbers)) == 4
+
+
 def test_what_a_robot_imports_is_neither_torch_nor_the_simulator() -> None:
     code = (
         "import sys, densecavoid.robot.runtime, densecavoid.robot.folder, densecavoid.robot.config;"

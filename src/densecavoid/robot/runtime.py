@@ -91,6 +91,13 @@ class RobotRuntime:
         self._submitted_s = -math.inf
         self._afresh = True
         self._mounts: dict[str, messages.Mount] = {}
+        self.goal_number = 0
+        """Rises with every goal that comes, is refused or is taken away: whoever gave one sees that it is another."""
+
+    @property
+    def pose_odom(self) -> tuple[float, float, float] | None:
+        """x, y (m), yaw (rad) by the last good odometry; None before it."""
+        return self._odometry.pose if self._odometry is not None else None
 
     def warm_up(self) -> None:
         """Everything once, so that nothing is compiled, loaded or allocated at the first message."""
@@ -170,6 +177,7 @@ class RobotRuntime:
             Why it is refused; a refused goal also ends the one before, because that is no longer wanted.
         """
         self._goal, self._reached = None, False
+        self.goal_number += 1
         try:
             goal = messages.goal_from_ros(message)
             if goal.frame.lstrip("/") == self.settings.base_frame:
@@ -183,6 +191,12 @@ class RobotRuntime:
         self.filter.forget_freezing()
         self.watchdog.goal("")
         return ""
+
+    def end_goal(self, why: str) -> None:
+        """Takes the goal away: the robot stands from the next step on, and `why` is the reason that it gives."""
+        self._goal, self._reached = None, False
+        self.goal_number += 1
+        self.watchdog.goal(why)
 
     def on_transforms(self, transforms: Iterable[Any], now_s: float, static: bool) -> list[str]:
         """The transforms of a TFMessage; returns what was wrong with those refused."""
@@ -220,7 +234,7 @@ class RobotRuntime:
             self._ask(now_s, goal_odom)
         self._take(now_s)
         fault = self.watchdog.fault(now_s)
-        pose = self._odometry.pose if self._odometry is not None else None
+        pose = self.pose_odom
         command = self.filter.update(
             now_s, pose[:2] if pose is not None else None, fault, wants_to_drive=self._goal is not None
         )

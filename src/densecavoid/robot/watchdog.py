@@ -139,6 +139,11 @@ class Watchdog:
         """Whether there is a goal that can be driven to: empty, or why not."""
         self._goal_fault = fault
 
+    @property
+    def goal_fault(self) -> str:
+        """Why there is no goal that can be driven to; empty if there is one."""
+        return self._goal_fault
+
     def sensors_fault(self, now_s: float) -> str:
         """Why nothing may be decided now; empty if all sensors are fresh."""
         for name, limits in self.config.sensors.items():
