@@ -33,6 +33,7 @@ from densecavoid.robot.bags import Recorder
 from densecavoid.robot.config import load_settings
 from densecavoid.robot.folder import FolderPilot
 from densecavoid.robot.node_config import NodeConfig
+from densecavoid.robot.ros2_action import NavigateToPoseServer
 from densecavoid.robot.runtime import RobotRuntime, Step
 from densecavoid.robot.wire import MessageTypes, Outgoing
 
@@ -40,9 +41,15 @@ try:
     from tf2_msgs.msg import TFMessage
 except ModuleNotFoundError:  # not among the wheels
     TFMessage = None
+try:
+    from nav2_msgs.action import NavigateToPose
+except ModuleNotFoundError:  # a robot without Nav2
+    NavigateToPose = None
 
 _ZEROS = 3
 _ACKNOWLEDGED_S = 0.5
+_RESULT_S = 0.2
+"""How long the end waits for the action's result to go out."""
 _REPORT_HZ = 5.0
 _TYPES = MessageTypes(
     twist=Twist,
@@ -73,6 +80,12 @@ class DenseCAvoidNode(LifecycleNode):
         for name, value in (("folder", str(config.folder)), ("robot", config.robot)):
             self.declare_parameter(name, value)
         self.declare_parameter("enable_stamped_cmd_vel", False)
+        # As long as the node lives: results of what deactivation aborted are asked for after it.
+        self._navigation: NavigateToPoseServer | None = None
+        if NavigateToPose is not None:
+            self._navigation = NavigateToPoseServer(
+                self, NavigateToPose, lambda: self._runtime if self._active else None
+            )
 
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
@@ -106,11 +119,8 @@ class DenseCAvoidNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stands, and sends nothing more."""
+        """Stands, and sends nothing more; a goal of the action is aborted."""
         self.stop_robot()
-        self._active = False
-        if self._runtime is not None:
-            self._runtime.filter.active = False
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -126,8 +136,14 @@ class DenseCAvoidNode(LifecycleNode):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stands; then as `on_cleanup`."""
         self.stop_robot()
-        self._active = False
         return self.on_cleanup(state)
+
+    def destroy_node(self) -> None:
+        """The action first: it is no part of what a node destroys."""
+        if self._navigation is not None:
+            self._navigation.destroy()
+            self._navigation = None
+        super().destroy_node()
 
     def end_recording(self) -> None:
         """Writes the recording's index, without which it cannot be played."""
@@ -135,13 +151,16 @@ class DenseCAvoidNode(LifecycleNode):
             self._recorder.__exit__()
 
     def stop_robot(self) -> None:
-        """Three zeros, and waits until they are received."""
+        """Three zeros, waits until they are received, and sends no more; whoever waits for the action is told."""
         if self._runtime is None or not self._active:
             return
         for _ in range(_ZEROS):
             self._publish_velocity(0.0, 0.0)
             time.sleep(0.01)
+        self._active = self._runtime.filter.active = False
         self._velocity.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
+        if self._navigation is not None:
+            self._navigation.abort("the node was stopped")
 
     # -- in ------------------------------------------------------------------------------------------------------------
 
@@ -205,6 +224,8 @@ class DenseCAvoidNode(LifecycleNode):
         step = runtime.step(now_s, self._ros_now_s())
         if self._active and step.command.publish:
             self._publish_velocity(step.command.linear_velocity, step.command.angular_velocity)
+        if self._navigation is not None:
+            self._navigation.update(step, now_s)
         if self._recorder is not None:
             self._recorder.step(self._ros_now_s(), step, runtime.settings.base_frame)
         if now_s - self._reported_s >= 1.0 / _REPORT_HZ:
@@ -249,6 +270,10 @@ def run(config: NodeConfig, ros_args: Sequence[str]) -> None:
             node.trigger_activate()
         while not stop:
             executor.spin_once(timeout_sec=0.05)
+        node.stop_robot()
+        end_s = time.monotonic() + _RESULT_S
+        while NavigateToPose is not None and time.monotonic() < end_s:
+            executor.spin_once(timeout_sec=0.02)
     finally:
         node.stop_robot()
         node.end_recording()
