@@ -16,6 +16,8 @@ from typing import Any
 from rosbags.highlevel import AnyReader
 
 ROOT = Path(__file__).resolve().parents[2]
+NOT_HERE = 3
+"""How ros2_messages.py ends where it cannot build."""
 PROFILE = ROOT / "ros" / "densecavoid_ros2" / "config" / "fastdds_large_images.xml"
 
 
@@ -36,8 +38,11 @@ class Ros:
     robot: str
     tmp: Path
 
-    def drive(self, script: list[tuple[str, float]], name: str, *options: str) -> dict[str, Any]:
-        """Starts a node and a body with these options, lets the script run, and returns what the body received."""
+    def drive(
+        self, script: list[tuple[str, float]], name: str, *options: str, program: str = "body.py"
+    ) -> dict[str, Any]:
+        """Starts a node and a body (`program`) with these options, lets the script run, and returns what the body
+        received."""
         out, node_log = self.tmp / f"{name}.json", self.tmp / f"{name}.log"
         node_args = [self.version, "--folder", str(self.folder), "--robot", self.robot]
         node_args += ["--record", str(self.tmp / f"{name}-recording")]
@@ -53,7 +58,7 @@ class Ros:
                 stderr=log,
             )
         try:
-            body = [self.python, str(ROOT / "tests" / "ros" / "body.py"), self.version, "--pid", str(node.pid)]
+            body = [self.python, str(ROOT / "tests" / "ros" / program), self.version, "--pid", str(node.pid)]
             done = subprocess.run(
                 [*body, "--out", str(out), "--script", json.dumps(script), *options],
                 env=self.environment,
@@ -112,12 +117,36 @@ def ros1(python: str, folder: Path, robot: str, tmp: Path) -> Iterator[Ros]:
         core.wait(20)
 
 
-def ros2(python: str, folder: Path, robot: str, tmp: Path) -> Ros:
-    """ROS 2 in a domain of its own; arguments as for `ros1`."""
+def build_messages(python: str) -> Path:
+    """The messages that ROS 2's wheels lack, built once for each environment (some seconds).
+
+    Raises:
+        FileNotFoundError: if what a build takes (compiler, Python's headers) is not there; it says what.
+        RuntimeError: with the build's words, if it fails.
+    """
+    script = ROOT / "tests" / "ros" / "ros2_messages.py"
+    done = subprocess.run([python, str(script)], env=environment(), capture_output=True, text=True, timeout=300)
+    if done.returncode == NOT_HERE:
+        raise FileNotFoundError(done.stderr.strip().splitlines()[-1])
+    if done.returncode:
+        raise RuntimeError(done.stderr[-4000:])
+    return Path(done.stdout.strip())
+
+
+def ros2(python: str, folder: Path, robot: str, tmp: Path, messages: Path | None = None) -> Ros:
+    """ROS 2 in a domain of its own; arguments as for `ros1`.
+
+    Args:
+        messages: what ros2_messages.py has built; without it there is no TF and no action.
+    """
     variables = environment(
         ROS_DOMAIN_ID=str(40 + os.getpid() % 60),
         ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
         FASTDDS_DEFAULT_PROFILES_FILE=str(PROFILE),
         ROS_LOG_DIR=str(tmp),
     )
+    if messages is not None:
+        variables["PYTHONPATH"] += f"{os.pathsep}{messages}"
+        libraries = filter(None, (str(messages), variables.get("LD_LIBRARY_PATH")))
+        variables["LD_LIBRARY_PATH"] = os.pathsep.join(libraries)
     return Ros("ros2", python, variables, folder, robot, tmp)

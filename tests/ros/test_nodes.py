@@ -19,14 +19,7 @@ pytest.importorskip("rosbags")
 import middleware
 from middleware import Ros
 
-from densecavoid.policy.folder_export import export_folder
-
 DRIVE_S = 4.0
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export_folder("densecavoid", tmp_path_factory.mktemp("export") / "exported")[0]
 
 
 @pytest.fixture(scope="module")
