@@ -36,7 +36,7 @@ SCENES = [
 
 
 @pytest.fixture(scope="module")
-def told(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     python = os.environ.get("DENSECAVOID_ROS2")
     if not python:
         pytest.skip("no ROS 2: `make test-ros` installs it and sets DENSECAVOID_ROS2")
@@ -47,6 +47,7 @@ def told(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, An
     tmp = tmp_path_factory.mktemp("action")
     robot = tmp / "robot.yaml"
     robot.write_text("base_frame: base_footprint\n")  # no mount: the scanner's place comes from TF
+    folder: Path = request.getfixturevalue("folder")  # only now: skipped tests need no export
     ros = middleware.ros2(python, folder, str(robot), tmp, messages)
     return ros.drive(SCENES, "action", program="action_client.py")
 
