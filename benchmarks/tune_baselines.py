@@ -82,7 +82,8 @@ NAVIGATORS: dict[str, tuple[Any, Callable[[Any], Navigator], Ranges]] = {
             "slip": (0.03, 0.2),
             "margin_m": (0.0, 0.06),
             "near_person_cost": (0.005, 0.1),
-            "near_thing_cost": (0.001, 0.03),
+            "near_thing_slower": (0.5, 6.0),
+            "beyond_slower": (1.2, 2.5),
             "doubt_m_s": (0.0, 0.2),
         },
     ),
@@ -105,7 +106,7 @@ class Tune:
     """What to tune, and how long."""
 
     navigator: tyro.conf.Positional[str]
-    """dwa, social-force, orca or frozone."""
+    """dwa, social-force, orca, lookahead or frozone."""
     candidates: int = 30
     """Beside the defaults."""
     worlds: int = 16

@@ -119,7 +119,7 @@ def searched_worth(
         if value is None:
             off = abs((math.atan2(goal[1] - y, goal[0] - x) - yaw + math.pi) % (2 * math.pi) - math.pi)
             way_s = math.dist(goal, (x, y)) + 0.6 * off / 0.4
-            value = math.exp(per_s * ((moments - 1) * hold_s + way_s))
+            value = math.exp(per_s * ((moments - 1) * hold_s + config.beyond_slower * way_s))
         best = max(best, value)
     return best
 
@@ -146,6 +146,14 @@ def test_who_comes_head_on_is_avoided_in_time() -> None:
     navigator = Lookahead(threads=1)
     found = worth(navigator, (10.0, 0.0), np.array([[4.0, 0.1, -0.6, 0.0, 0.25], [4.5, 0.6, -0.6, 0.0, 0.25]]))
     assert COMMAND_GRID[found.argmax()][0] > 0 and COMMAND_GRID[found.argmax()][1] < 0
+
+
+@pytest.mark.parametrize("bearing", [math.pi, -3.0, 2.0, -1.0])
+def test_nothing_is_put_off(bearing: float) -> None:
+    """However long the turn that the way begins with: standing, to do so later, is worth less."""
+    found = worth(Lookahead(threads=1), (7.0 * math.cos(bearing), 7.0 * math.sin(bearing)), np.zeros((0, 5)))
+    assert abs(COMMAND_GRID[found.argmax()][1]) == 1.0
+    assert found.max() > found[(COMMAND_GRID == 0).all(axis=1)].item() + 0.001
 
 
 @pytest.mark.slow

@@ -19,7 +19,6 @@ FRAME = 6
 _TAKEN = np.float32(1e3)
 _FAR_M = 1e6
 _BLOCKED_SLOWER = 40.0  # times, through what seems taken: the way is then long, but there always is one
-_BESIDE_SLOWER = 1.0  # more, right beside it
 _TURNED_ROUND = 0.6  # share of the time to turn on the spot that heading elsewhere costs: robots drive on as they turn
 _SWEEPS = 16
 
@@ -35,9 +34,11 @@ class Rules(NamedTuple):
     collision: float
     body_m: float
     margin_m: float
-    near_m: float
+    near_person_m: float
     near_person_cost: float
-    near_thing_cost: float
+    near_thing_m: float
+    near_thing_slower: float
+    beyond_slower: float
     doubt_m_s: float
     standing_m_s: float
     goal_m: float
@@ -94,7 +95,7 @@ def spread_distances(distance, slowness, known, cell):
 @inner
 def _raise_around(grid, x, y, hit, reach, inside, beside, x0, y0, cell):
     """Raises the cells [X, Y] whose middles are nearer to a point than `hit` to `inside`, and those nearer than `reach`
-    to what falls from `beside` to nothing."""
+    to what falls from `beside` to nothing, as the square of what is left of the way."""
     first_i, last_i = max(int((x - reach - x0) / cell), 0), min(int((x + reach - x0) / cell) + 1, grid.shape[0])
     first_j, last_j = max(int((y - reach - y0) / cell), 0), min(int((y + reach - y0) / cell) + 1, grid.shape[1])
     for i in range(first_i, last_i):
@@ -105,7 +106,15 @@ def _raise_around(grid, x, y, hit, reach, inside, beside, x0, y0, cell):
             if square < hit * hit:
                 grid[i, j] = inside
             elif square < reach * reach:
-                grid[i, j] = max(grid[i, j], beside * (reach - math.sqrt(square)) / (reach - hit))
+                left = (reach - math.sqrt(square)) / (reach - hit)
+                grid[i, j] = max(grid[i, j], beside * left * left)
+
+
+@inner
+def _slow_around(slowness, x, y, hit, corner, rules):
+    """Makes the cells of the map [M, M] slower that are nearer to a point than `hit`, and beside that."""
+    reach, blocked, beside = hit + rules.near_thing_m, _BLOCKED_SLOWER, rules.near_thing_slower
+    _raise_around(slowness, x, y, hit, reach, blocked, beside, corner, corner, rules.map_cell_m)
 
 
 @inner
@@ -116,17 +125,16 @@ def _ways(distance, slowness, known, b, around, rules):
     for i in range(cells):
         for j in range(cells):
             slowness[i, j], known[i, j], distance[i, j] = 0.0, False, _FAR_M
-    hit = rules.body_m + rules.margin_m
+    # A gap is worth waiting for if ways lead through it: only such as the window's cells, too, let the robot through.
+    hit = rules.body_m + rules.margin_m + 0.5 * rules.cell_m
     for n in range(around.num_points[b]):
         x, y = around.points[b, n, 0], around.points[b, n, 1]
-        _raise_around(slowness, x, y, hit, hit + rules.near_m, _BLOCKED_SLOWER, _BESIDE_SLOWER, corner, corner, cell)
+        _slow_around(slowness, x, y, hit, corner, rules)
     for p in range(around.there.shape[1]):
         if around.there[b, p] and math.hypot(around.vel[b, p, 0], around.vel[b, p, 1]) < rules.standing_m_s:
             reach = rules.body_m + around.radius[b, p]
             x, y = around.pos[b, p, 0], around.pos[b, p, 1]
-            _raise_around(
-                slowness, x, y, reach, reach + rules.near_m, _BLOCKED_SLOWER, _BESIDE_SLOWER, corner, corner, cell
-            )
+            _slow_around(slowness, x, y, reach, corner, rules)
     goal_x, goal_y = around.goal[b, 0], around.goal[b, 1]
     goal_i, goal_j = math.floor((goal_x - corner) / cell), math.floor((goal_y - corner) / cell)
     inside = 1 <= goal_i < cells - 1 and 1 <= goal_j < cells - 1
@@ -152,7 +160,7 @@ def _end_values(values, ground, distance, fade, b, around, rules, x0, y0):
     """
     headings, cells, cell = values.shape[0], rules.map_cells, rules.map_cell_m
     corner = -0.5 * cells * cell
-    per_s = math.log(rules.discount) / rules.hold_s
+    per_s = rules.beyond_slower * math.log(rules.discount) / rules.hold_s
     for h in range(headings):
         off = min(h, headings - h) * 2.0 * math.pi / headings
         fade[h] = math.exp(per_s * _TURNED_ROUND * off / rules.max_angular)
@@ -182,7 +190,7 @@ def _end_values(values, ground, distance, fade, b, around, rules, x0, y0):
 
 
 @kernel
-def _one_moment_before(now, following, best, total, steps, cost, is_goal, box, turned, rules):
+def _one_moment_before(now, following, best, total, steps, cost, kept, is_goal, box, turned, rules):
     """Values [H, X, Y] a moment earlier, in the cells and headings that can be reached by then.
 
     Args:
@@ -190,12 +198,13 @@ def _one_moment_before(now, following, best, total, steps, cost, is_goal, box, t
         best, total: f32 [Y] room to work.
         steps: f64 [H, C, 3] of `field_kernels.steps_of_commands`.
         cost: f32 [X, Y] of being in a cell then.
+        kept: f32 [X, Y] what is left of a cell's value because things are near.
         is_goal: bool [X, Y].
         box: first and last cells (excluded) along x and y.
         turned: headings that can be reached to either side.
     """
     headings, commands = steps.shape[0], steps.shape[1]
-    kept = np.float32(rules.discount * (1.0 - rules.slip))
+    meant = np.float32(rules.discount * (1.0 - rules.slip))
     spread = np.float32(rules.discount * rules.slip / commands)
     collision = np.float32(rules.collision)
     first_i, last_i, first_j, last_j = box
@@ -219,8 +228,9 @@ def _one_moment_before(now, following, best, total, steps, cost, is_goal, box, t
                     best[j] = max(best[j], value)
                     total[j] += value
             row, row_cost, row_goal = now[h, i, first_j:], cost[i, first_j:], is_goal[i, first_j:]
+            row_kept = kept[i, first_j:]
             for j in range(size):
-                value = kept * best[j] + spread * total[j] - row_cost[j]
+                value = (meant * best[j] + spread * total[j]) * row_kept[j] - row_cost[j]
                 value = collision if row_cost[j] >= _TAKEN else value
                 row[j] = np.float32(1.0) if row_goal[j] else value
 
@@ -256,6 +266,7 @@ def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules,
     x0, y0, cell = -behind * rules.cell_m, -right * rules.cell_m, rules.cell_m
     one, other = np.zeros((headings, size_x, size_y), np.float32), np.zeros((headings, size_x, size_y), np.float32)
     ground, cost = np.zeros((size_x, size_y), np.float32), np.zeros((size_x, size_y), np.float32)
+    kept = np.zeros((size_x, size_y), np.float32)
     best, total, fade = np.zeros(size_y, np.float32), np.zeros(size_y, np.float32), np.zeros(headings, np.float32)
     is_goal = np.zeros((size_x, size_y), np.bool_)
     cells = rules.map_cells
@@ -267,12 +278,16 @@ def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules,
         hit = rules.body_m + rules.margin_m
         for n in range(around.num_points[b]):
             x, y = around.points[b, n, 0], around.points[b, n, 1]
-            _raise_around(ground, x, y, hit, hit + rules.near_m, _TAKEN, rules.near_thing_cost, x0, y0, cell)
+            _raise_around(ground, x, y, hit, hit + rules.near_thing_m, _TAKEN, rules.near_thing_slower, x0, y0, cell)
         for i in range(size_x):
             for j in range(size_y):
                 off_x = x0 + (i + 0.5) * cell - around.goal[b, 0]
                 off_y = y0 + (j + 0.5) * cell - around.goal[b, 1]
                 is_goal[i, j] = off_x * off_x + off_y * off_y < rules.goal_m * rules.goal_m
+                kept[i, j] = 1.0
+                if ground[i, j] < _TAKEN:
+                    kept[i, j] = rules.discount ** ground[i, j]
+                    ground[i, j] = 0.0
         _end_values(one, ground, distance, fade, b, around, rules, x0, y0)
         other[:] = one
         following, now = one, other
@@ -284,10 +299,10 @@ def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules,
                     x = around.pos[b, p, 0] + time_s * around.vel[b, p, 0]
                     y = around.pos[b, p, 1] + time_s * around.vel[b, p, 1]
                     reach = around.radius[b, p] + rules.body_m + rules.margin_m
-                    beside = reach + rules.near_m + rules.doubt_m_s * time_s
+                    beside = reach + rules.near_person_m + rules.doubt_m_s * time_s
                     _raise_around(cost, x, y, reach, beside, _TAKEN, rules.near_person_cost, x0, y0, cell)
             box = (boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3])
-            _one_moment_before(now, following, best, total, steps, cost, is_goal, box, boxes[k, 4], rules)
+            _one_moment_before(now, following, best, total, steps, cost, kept, is_goal, box, boxes[k, 4], rules)
             following, now = now, following
         for c in range(commands.shape[0]):
             pose[0] = pose[1] = pose[2] = 0.0

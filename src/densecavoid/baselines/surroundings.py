@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, choose, into_robot_frame, require, seen_from
+from densecavoid.perception.tracker import TrackerSettings
 from densecavoid.perception.tracks import Tracks
 
 
@@ -34,7 +35,15 @@ class PeopleAround:
         source: Literal["tracks", "truth"] = "tracks",
         lidar: LidarConfig = LidarConfig(),
         camera: CameraConfig = CameraConfig(),
+        standing: bool = False,
     ) -> None:
+        """
+        Args:
+            source: as the class says.
+            lidar, camera: whose frames it will be given.
+            standing: as in `people_of`.
+        """
+        self._standing = standing
         self.privileged = choose("source of people", source, ("tracks", "truth")) == "truth"
         """Whether ground truth is read."""
         self._config = ObserverConfig(lidar, camera, people_from="detector")
@@ -64,13 +73,24 @@ class PeopleAround:
         if self._observer is None:
             self._observer = Observer(self._config, frame.num_worlds)
         self._observer.observe(frame)
-        return people_of(self._observer.tracks, frame)
+        return people_of(self._observer.tracks, frame, self._standing)
 
 
-def people_of(tracks: Tracks, frame: SensorFrame) -> People:
-    """Those whom a tracker is sure of."""
-    state, radius_m = tracks.state, tracks.body[..., 0]
-    return _around(frame.odom_pose, state[..., :2], state[..., 2:], radius_m, tracks.confirmed)
+def people_of(tracks: Tracks, frame: SensorFrame, standing: bool = False) -> People:
+    """Those whom a tracker is sure of.
+
+    Args:
+        tracks: of the frame's worlds.
+        frame: what the robot's sensors gave.
+        standing: whether what has legs but has not been seen to walk is taken for somebody who stands. It may be a
+            table; its top, too, reaches beyond the legs that the lidar meets, as a body does.
+    """
+    radius_m, there = tracks.body[..., 0], tracks.confirmed
+    vel_w = tracks.state[..., 2:]
+    if standing:
+        may_be = tracks.live & ~there & (tracks.existence > TrackerSettings().confirmed)
+        vel_w, there = np.where(may_be[..., None], 0.0, vel_w), there | may_be
+    return _around(frame.odom_pose, tracks.state[..., :2], vel_w, radius_m, there)
 
 
 def _around(
