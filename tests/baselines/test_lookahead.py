@@ -163,7 +163,10 @@ def test_most_dense_corridors_are_crossed() -> None:
     assert np.mean([episode.outcome == "success" for episode in episodes]) >= 0.7
 
 
-@pytest.mark.parametrize("values", [{"horizon_s": 0.5}, {"slip": 1.0}, {"cell_m": 0.0}, {"near_person_cost": -1.0}])
+@pytest.mark.parametrize(
+    "values",
+    [{"horizon_s": 0.5}, {"slip": 1.0}, {"cell_m": 0.0}, {"near_person_cost": -1.0}, {"beyond_slower": 0.9}],
+)
 def test_settings_that_make_no_sense_are_refused(values: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(values))):
         LookaheadConfig(**values)

@@ -33,7 +33,8 @@ class LookaheadConfig:
     """What is foreseen, and what is good. Reaching the goal is worth 1.
 
     Set by hand on training worlds, where costs of people from half to six times as much made no difference that 64
-    worlds show; `python benchmarks/tune_baselines.py lookahead` looks for better ones.
+    worlds show, after a look at why it stood still in some unfiltered worlds of `dense-static`.
+    `python benchmarks/tune_baselines.py lookahead` looks for better ones.
     """
 
     horizon_s: float = 5.6
@@ -78,6 +79,7 @@ class LookaheadConfig:
             require(value >= 0 and math.isfinite(value), f"LookaheadConfig.{name}", value, "0 or more")
         require(0 < self.discount < 1, "LookaheadConfig.discount", self.discount, "in (0, 1)")
         require(0 <= self.slip < 1, "LookaheadConfig.slip", self.slip, "in [0, 1)")
+        require(1 <= self.beyond_slower < 10, "LookaheadConfig.beyond_slower", self.beyond_slower, "in [1, 10)")
         require(-1 <= self.collision <= 0, "LookaheadConfig.collision", self.collision, "in [-1, 0]")
         require(
             2 * self.hold_s <= self.horizon_s <= 20 * self.hold_s,
