@@ -30,9 +30,10 @@ def test_who_stands_too_near_for_the_camera_is_known_by_the_legs_where_that_is_a
     for around in (walkers, all_legs):
         around.reset(np.ones(1, np.bool_))
     for _ in range(20):
-        frame = sim.sense()
-        sure, may_be = walkers.see(frame), all_legs.see(frame)
         sim.step(Command(np.zeros(1, np.float32), np.zeros(1, np.float32)))
+        walkers.see(sim.sense())
+        all_legs.see(sim.sense())
+    sure, may_be = walkers.see(sim.sense()), all_legs.see(sim.sense())
     assert not sure.there.any()
     assert may_be.there.sum() == 1
     there = may_be.there
