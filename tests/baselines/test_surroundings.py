@@ -8,23 +8,16 @@ from densecavoid.baselines.surroundings import PeopleAround
 from densecavoid.frames import Command
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import STANDING
-from densecavoid.sim.spec import Crowd, WorldSpec
+from densecavoid.sim.spec import Crowd
 from densecavoid.sim.world import SimConfig, Simulator
-
-
-class BesideAStander:
-    """Somebody stands a metre ahead, too near for the camera; who never walked could be a table to the lidar."""
-
-    name = "beside-a-stander"
-
-    def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        place, one = np.array([[1.0, 0.1]]), np.ones(1)
-        crowd = Crowd(place, place, 0.5 * one, 0.26 * one, 1.7 * one, np.full(1, STANDING))
-        return WorldSpec(self.name, FloorPlan(), (0.0, 0.0, 0.0), (20.0, 0.0), crowd)
+from scene import Scene
 
 
 def test_who_stands_too_near_for_the_camera_is_known_by_the_legs_where_that_is_asked_for() -> None:
-    sim = Simulator(BesideAStander(), 1, SimConfig(threads=1))
+    """A metre ahead; who never walked could be a table to the lidar."""
+    place, one = np.array([[1.0, 0.1]]), np.ones(1)
+    crowd = Crowd(place, place, 0.5 * one, 0.26 * one, 1.7 * one, np.full(1, STANDING))
+    sim = Simulator(Scene(FloorPlan(), crowd), 1, SimConfig(threads=1))
     sim.reset(np.zeros(1, np.int64))
     walkers, all_legs = PeopleAround(), PeopleAround(standing=True)
     for around in (walkers, all_legs):

@@ -1,7 +1,7 @@
 """A robot behind real topics and a client of the action NavigateToPose: sends goals, cancels, drops TF, deactivates the
 node, and writes down what came back. A process of its own, as body.py; needs what ros2_messages.py builds.
 
-python action_client.py ros2 --pid NODE --out FILE --script '[["success", 20], ["cancel", 10], ["signal-INT", 5]]'
+python action_client.py ros2 --pid NODE --out FILE --script '[["success", 20], ["signal-interrupted", 5]]'
 
 Each name is a method of `Scenes` with the seconds that it may take.
 """
@@ -298,9 +298,9 @@ def main() -> None:
     scenes.wait_for_node()
     told: dict[str, Any] = {}
     for name, limit_s in json.loads(args.script):
-        begin = log.now()
-        told[name.removeprefix("signal-")] = getattr(scenes, name.removeprefix("signal-"))(limit_s)
-        told[name.removeprefix("signal-")]["took_s"] = log.now() - begin
+        begin, scene = log.now(), name.removeprefix("signal-")
+        told[scene] = getattr(scenes, scene)(limit_s)
+        told[scene]["took_s"] = log.now() - begin
     told["commands"], told["reasons"] = log.commands, log.reasons
     with open(args.out, "w") as file:
         json.dump(told, file)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+from ros2_messages import CANNOT_BUILD
 from rosbags.highlevel import AnyReader
 
 ROOT = Path(__file__).resolve().parents[2]
-NOT_HERE = 3
-"""How ros2_messages.py ends where it cannot build."""
 PROFILE = ROOT / "ros" / "densecavoid_ros2" / "config" / "fastdds_large_images.xml"
 
 
@@ -117,6 +117,14 @@ def ros1(python: str, folder: Path, robot: str, tmp: Path) -> Iterator[Ros]:
         core.wait(20)
 
 
+def python_of(version: str) -> str:
+    """The Python that has ROS 1 or 2 (`version`); the test that asks is skipped where there is none."""
+    python = os.environ.get(f"DENSECAVOID_ROS{version}")
+    if not python:
+        pytest.skip(f"no ROS {version}: `make test-ros` installs it and sets DENSECAVOID_ROS{version}")
+    return python
+
+
 def build_messages(python: str) -> Path:
     """The messages that ROS 2's wheels lack, built once for each environment (some seconds).
 
@@ -126,7 +134,7 @@ def build_messages(python: str) -> Path:
     """
     script = ROOT / "tests" / "ros" / "ros2_messages.py"
     done = subprocess.run([python, str(script)], env=environment(), capture_output=True, text=True, timeout=300)
-    if done.returncode == NOT_HERE:
+    if done.returncode == CANNOT_BUILD:
         raise FileNotFoundError(done.stderr.strip().splitlines()[-1])
     if done.returncode:
         raise RuntimeError(done.stderr[-4000:])

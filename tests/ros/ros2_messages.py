@@ -5,7 +5,7 @@ PYTHONPATH and LD_LIBRARY_PATH. Robots have both packages from their distributio
 python ros2_messages.py [FOLDER]
 
 What is built is kept (in the environment, if no folder is named) and built again only when this file or the wheels
-change. Ends with 3 where it cannot build, naming what is missing.
+change. Ends with CANNOT_BUILD where it cannot build, naming what is missing.
 """
 
 # pyright: reportMissingImports=false
@@ -57,6 +57,8 @@ _NEEDED = (
     "std_msgs",
     "unique_identifier_msgs",
 )
+CANNOT_BUILD = 3
+"""How it ends where it cannot."""
 _ROOT = Path(sys.prefix)
 _C, _CXX = (shlex.split(os.environ.get(name, default)) for name, default in (("CC", "cc"), ("CXX", "c++")))
 
@@ -188,5 +190,5 @@ if __name__ == "__main__":
             built = build(Path(sys.argv[1]) if len(sys.argv) > 1 else _ROOT / "extra_messages")
     except CannotBuildError as error:
         print(error, file=sys.stderr)
-        sys.exit(3)
+        sys.exit(CANNOT_BUILD)
     print(built)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +36,7 @@ SCENES = [
 
 @pytest.fixture(scope="module")
 def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    python = os.environ.get("DENSECAVOID_ROS2")
-    if not python:
-        pytest.skip("no ROS 2: `make test-ros` installs it and sets DENSECAVOID_ROS2")
+    python = middleware.python_of("2")
     try:
         messages = middleware.build_messages(python)
     except FileNotFoundError as error:

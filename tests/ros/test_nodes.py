@@ -7,7 +7,6 @@ to run each with) the tests are skipped.
 from __future__ import annotations
 
 import itertools
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,9 +23,7 @@ DRIVE_S = 4.0
 
 @pytest.fixture(scope="module")
 def ros1(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros]:
-    python = os.environ.get("DENSECAVOID_ROS1")
-    if not python:
-        pytest.skip("no ROS 1: `make test-ros` installs it and sets DENSECAVOID_ROS1")
+    python = middleware.python_of("1")
     tmp = tmp_path_factory.mktemp("ros1")
     robot = tmp / "robot.yaml"
     robot.write_text("base_frame: base_footprint\n")
@@ -36,9 +33,7 @@ def ros1(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros
 
 @pytest.fixture(scope="module")
 def ros2(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Ros:
-    python = os.environ.get("DENSECAVOID_ROS2")
-    if not python:
-        pytest.skip("no ROS 2: `make test-ros` installs it and sets DENSECAVOID_ROS2")
+    python = middleware.python_of("2")
     tmp = tmp_path_factory.mktemp("ros2")
     robot = tmp / "robot.yaml"
     robot.write_text("use_tf: false\nlidar_mount: {x_m: 0.0}\n")

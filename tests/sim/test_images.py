@@ -13,24 +13,15 @@ from densecavoid.scenarios import make_scenario
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.images import CLASSES
 from densecavoid.sim.people import STANDING
-from densecavoid.sim.spec import Crowd, WorldSpec
+from densecavoid.sim.spec import Crowd
 from densecavoid.sim.world import SimConfig, Simulator
+from scene import Scene
 
 CAMERA = CameraConfig(width=96, height=72, mount_height_m=0.9, mount_pitch_rad=0.1, min_range_m=0.05, max_range_m=30.0)
 
 
-class OneWorld:
-    name = "one"
-
-    def __init__(self, plan: FloorPlan, crowd: Crowd | None = None) -> None:
-        self.spec = WorldSpec("one", plan, (0.0, 0.0, 0.0), (50.0, 0.0), crowd or Crowd.nobody())
-
-    def spawn(self, rng: np.random.Generator) -> WorldSpec:
-        return self.spec
-
-
 def simulate(plan: FloorPlan, crowd: Crowd | None = None) -> Simulator:
-    sim = Simulator(OneWorld(plan, crowd), 1)
+    sim = Simulator(Scene(plan, crowd), 1)
     sim.reset(np.zeros(1, np.int64))
     return sim
 
