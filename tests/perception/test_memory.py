@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from scene import Scene
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import CameraConfig, Command, LidarConfig, SensorFrame
@@ -16,6 +15,7 @@ from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import TRAVERSING
 from densecavoid.sim.spec import Crowd
 from densecavoid.sim.world import SimConfig, Simulator
+from scene import Scene
 
 ONE = np.ones(1, np.bool_)
 LIDAR, SMALL = LidarConfig(num_rays=64), CameraConfig(width=12, height=8)

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from scene import Scene
 
 from densecavoid.baselines.surroundings import People, PeopleAround
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig
@@ -16,6 +15,7 @@ from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import TRAVERSING
 from densecavoid.sim.spec import Crowd
 from densecavoid.sim.world import SimConfig, Simulator
+from scene import Scene
 
 
 def drive(scene: Scene, commands: list[tuple[float, float, int]], camera: CameraConfig = CameraConfig()):
