@@ -10,9 +10,10 @@ from scipy.spatial import ConvexHull
 
 from densecavoid.baselines.frozone import convex_hull, distance_to_zone, least_turns
 from densecavoid.baselines.orca import choose_velocities, followable
-from densecavoid.baselines.surroundings import People, ScanPoints
+from densecavoid.baselines.surroundings import ScanPoints
 from densecavoid.baselines.unicycle import TurningConfig, follow_velocity
 from densecavoid.frames import LidarConfig, RobotConfig
+from densecavoid.perception.people_around import People
 from densecavoid.sim.robot import drive
 
 ROBOT = RobotConfig()

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from densecavoid.baselines.surroundings import People, PeopleAround
+from densecavoid.baselines.surroundings import PeopleAround
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig
+from densecavoid.perception.people_around import People
 from densecavoid.perception.rolling_grid import CELL_M
 from densecavoid.perception.static_map import StaticMap
 from densecavoid.sim.floorplan import FloorPlan
@@ -34,8 +35,7 @@ def drive(scene: Scene, commands: list[tuple[float, float, int]], camera: Camera
 
 def look(sim: Simulator, seen: StaticMap, around: PeopleAround) -> None:
     frame = sim.sense()
-    people = around.see(frame)
-    seen.update(frame, people.pos_r, people.radius_m, people.there)
+    seen.update(frame, around.see(frame), np.ones(1, np.bool_))
 
 
 def in_world(sim: Simulator, seen: StaticMap) -> np.ndarray:
@@ -88,7 +88,7 @@ def test_what_is_gone_is_cleared_and_what_is_known_of_one_world_is_not_of_anothe
 
     def see(sim: Simulator, times: int) -> None:
         for _ in range(times):
-            seen.update(sim.sense(), nobody.pos_r, nobody.radius_m, nobody.there)
+            seen.update(sim.sense(), nobody, np.ones(1, np.bool_))
 
     see(here, 10)
     assert seen.count[0] > 3

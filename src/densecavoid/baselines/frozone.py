@@ -14,8 +14,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from densecavoid.baselines.surroundings import People, PeopleAround, people_of
+from densecavoid.baselines.surroundings import PeopleAround
 from densecavoid.frames import CameraConfig, Command, LidarConfig, Navigator, RobotConfig, SensorFrame, require
+from densecavoid.perception.people_around import People, people_of
 from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import kernel
 

@@ -25,6 +25,7 @@ from densecavoid.foresight.value_field import COMMAND_GRID, SPEEDS, TURNS
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, goal_polar, require
 from densecavoid.perception.rolling_grid import CELL_M
 from densecavoid.perception.static_map import CELLS, StaticMap
+from densecavoid.perception.ways import WayRules
 from densecavoid.sim._jit import for_worlds
 
 
@@ -170,10 +171,17 @@ class Lookahead:
             near_thing_slower=config.near_thing_slower,
             beyond_slower=config.beyond_slower,
             doubt_m_s=config.doubt_m_s,
-            standing_m_s=config.standing_m_s,
             goal_m=config.goal_m,
-            map_cells=CELLS,
-            map_cell_m=CELL_M,
+            # A gap is worth waiting for if ways lead through it: only such as the window's cells, too, let through.
+            ways=WayRules(
+                thing_m=config.body_m + config.margin_m + 0.5 * config.cell_m,
+                body_m=config.body_m,
+                near_m=config.near_thing_m,
+                near_slower=config.near_thing_slower,
+                standing_m_s=config.standing_m_s,
+                cells=CELLS,
+                cell_m=CELL_M,
+            ),
             max_linear=robot.max_linear_velocity,
             max_angular=robot.max_angular_velocity,
         )
@@ -199,7 +207,7 @@ class Lookahead:
         """
         require(frame.num_worlds == len(self._map.count), "worlds", frame.num_worlds, f"{len(self._map.count)}")
         people = self._people.see(frame)
-        self._map.update(frame, people.pos_r, people.radius_m, people.there)
+        self._map.update(frame, people, np.ones(frame.num_worlds, np.bool_))
         distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
         goal = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         around = Around(

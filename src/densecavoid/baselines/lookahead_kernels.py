@@ -11,16 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from densecavoid.perception.ways import WayRules, find_ways, raise_around
 from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.robot import drive
 
 FRAME = 6
 """Cells around the window; a robot moves less far in a moment."""
 _TAKEN = np.float32(1e3)
-_FAR_M = 1e6
-_BLOCKED_SLOWER = 40.0  # times, through what seems taken: the way is then long, but there always is one
 _TURNED_ROUND = 0.6  # share of the time to turn on the spot that heading elsewhere costs: robots drive on as they turn
-_SWEEPS = 16
 
 
 class Rules(NamedTuple):
@@ -40,10 +38,8 @@ class Rules(NamedTuple):
     near_thing_slower: float
     beyond_slower: float
     doubt_m_s: float
-    standing_m_s: float
     goal_m: float
-    map_cells: int
-    map_cell_m: float
+    ways: WayRules  # beyond the window
     max_linear: float
     max_angular: float
 
@@ -60,94 +56,6 @@ class Around(NamedTuple):
     there: np.ndarray  # bool [B, P] if they are
 
 
-@kernel
-def spread_distances(distance, slowness, known, cell):
-    """Lengths of the shortest ways on a grid by fast sweeping of the eikonal equation (Zhao, Math. Comp. 74, 2005).
-
-    Args:
-        distance: f64 [X, Y]; where `known` it stays, elsewhere it must come in greater than any way, and is lowered.
-        slowness: f64 [X, Y] cost of a metre.
-        known: bool [X, Y].
-        cell: side of a cell, m.
-    """
-    rows, columns = distance.shape
-    for sweep in range(_SWEEPS):
-        change = 0.0
-        for from_i in range(rows):
-            i = from_i if sweep & 1 == 0 else rows - 1 - from_i
-            for from_j in range(columns):
-                j = from_j if sweep & 2 == 0 else columns - 1 - from_j
-                if known[i, j]:
-                    continue
-                a = min(distance[max(i - 1, 0), j], distance[min(i + 1, rows - 1), j])
-                b = min(distance[i, max(j - 1, 0)], distance[i, min(j + 1, columns - 1)])
-                step = slowness[i, j] * cell
-                value = min(a, b) + step
-                if abs(a - b) < step:
-                    value = 0.5 * (a + b + math.sqrt(2.0 * step * step - (a - b) * (a - b)))
-                if value < distance[i, j]:
-                    change = max(change, distance[i, j] - value)
-                    distance[i, j] = value
-        if sweep >= 3 and change < 0.1 * cell:
-            break
-
-
-@inner
-def _raise_around(grid, x, y, hit, reach, inside, beside, x0, y0, cell):
-    """Raises the cells [X, Y] whose middles are nearer to a point than `hit` to `inside`, and those nearer than `reach`
-    to what falls from `beside` to nothing, as the square of what is left of the way."""
-    first_i, last_i = max(int((x - reach - x0) / cell), 0), min(int((x + reach - x0) / cell) + 1, grid.shape[0])
-    first_j, last_j = max(int((y - reach - y0) / cell), 0), min(int((y + reach - y0) / cell) + 1, grid.shape[1])
-    for i in range(first_i, last_i):
-        off_x = x0 + (i + 0.5) * cell - x
-        for j in range(first_j, last_j):
-            off_y = y0 + (j + 0.5) * cell - y
-            square = off_x * off_x + off_y * off_y
-            if square < hit * hit:
-                grid[i, j] = inside
-            elif square < reach * reach:
-                left = (reach - math.sqrt(square)) / (reach - hit)
-                grid[i, j] = max(grid[i, j], beside * left * left)
-
-
-@inner
-def _slow_around(slowness, x, y, hit, corner, rules):
-    """Makes the cells of the map [M, M] slower that are nearer to a point than `hit`, and beside that."""
-    reach, blocked, beside = hit + rules.near_thing_m, _BLOCKED_SLOWER, rules.near_thing_slower
-    _raise_around(slowness, x, y, hit, reach, blocked, beside, corner, corner, rules.map_cell_m)
-
-
-@inner
-def _ways(distance, slowness, known, b, around, rules):
-    """Length of the way to the goal from each cell of the map [M, M], past what stands and who stands still."""
-    cells, cell = rules.map_cells, rules.map_cell_m
-    corner = -0.5 * cells * cell
-    for i in range(cells):
-        for j in range(cells):
-            slowness[i, j], known[i, j], distance[i, j] = 0.0, False, _FAR_M
-    # A gap is worth waiting for if ways lead through it: only such as the window's cells, too, let the robot through.
-    hit = rules.body_m + rules.margin_m + 0.5 * rules.cell_m
-    for n in range(around.num_points[b]):
-        x, y = around.points[b, n, 0], around.points[b, n, 1]
-        _slow_around(slowness, x, y, hit, corner, rules)
-    for p in range(around.there.shape[1]):
-        if around.there[b, p] and math.hypot(around.vel[b, p, 0], around.vel[b, p, 1]) < rules.standing_m_s:
-            reach = rules.body_m + around.radius[b, p]
-            x, y = around.pos[b, p, 0], around.pos[b, p, 1]
-            _slow_around(slowness, x, y, reach, corner, rules)
-    goal_x, goal_y = around.goal[b, 0], around.goal[b, 1]
-    goal_i, goal_j = math.floor((goal_x - corner) / cell), math.floor((goal_y - corner) / cell)
-    inside = 1 <= goal_i < cells - 1 and 1 <= goal_j < cells - 1
-    for i in range(cells):
-        for j in range(cells):
-            slowness[i, j] += 1.0
-            at_edge = i == 0 or j == 0 or i == cells - 1 or j == cells - 1
-            if (inside and abs(i - goal_i) <= 1 and abs(j - goal_j) <= 1) or (not inside and at_edge):
-                known[i, j] = True
-                distance[i, j] = math.hypot(corner + (i + 0.5) * cell - goal_x, corner + (j + 0.5) * cell - goal_y)
-    spread_distances(distance, slowness, known, cell)
-
-
 @inner
 def _end_values(values, ground, distance, fade, b, around, rules, x0, y0):
     """Values [H, X, Y] of having got somewhere when the horizon ends, by the way that is left and the turn to it.
@@ -158,7 +66,7 @@ def _end_values(values, ground, distance, fade, b, around, rules, x0, y0):
         fade: f32 [H] room to work.
         x0, y0: corner of the window.
     """
-    headings, cells, cell = values.shape[0], rules.map_cells, rules.map_cell_m
+    headings, cells, cell = values.shape[0], rules.ways.cells, rules.ways.cell_m
     corner = -0.5 * cells * cell
     per_s = rules.beyond_slower * math.log(rules.discount) / rules.hold_s
     for h in range(headings):
@@ -269,16 +177,19 @@ def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules,
     kept = np.zeros((size_x, size_y), np.float32)
     best, total, fade = np.zeros(size_y, np.float32), np.zeros(size_y, np.float32), np.zeros(headings, np.float32)
     is_goal = np.zeros((size_x, size_y), np.bool_)
-    cells = rules.map_cells
+    cells = rules.ways.cells
     distance, slowness, known = np.zeros((cells, cells)), np.zeros((cells, cells)), np.zeros((cells, cells), np.bool_)
     pose = np.zeros(3)
     for b in range(first, last):
-        _ways(distance, slowness, known, b, around, rules)
+        goal_x, goal_y = around.goal[b, 0], around.goal[b, 1]
+        seen = around.points[b, : around.num_points[b]]
+        people = around.pos[b], around.vel[b], around.radius[b], around.there[b]
+        find_ways(distance, slowness, known, goal_x, goal_y, seen, *people, rules.ways)
         ground[:] = 0.0
         hit = rules.body_m + rules.margin_m
         for n in range(around.num_points[b]):
             x, y = around.points[b, n, 0], around.points[b, n, 1]
-            _raise_around(ground, x, y, hit, hit + rules.near_thing_m, _TAKEN, rules.near_thing_slower, x0, y0, cell)
+            raise_around(ground, x, y, hit, hit + rules.near_thing_m, _TAKEN, rules.near_thing_slower, x0, y0, cell)
         for i in range(size_x):
             for j in range(size_y):
                 off_x = x0 + (i + 0.5) * cell - around.goal[b, 0]
@@ -300,7 +211,7 @@ def worth_of_commands(first, last, around, steps, commands, boxes, shape, rules,
                     y = around.pos[b, p, 1] + time_s * around.vel[b, p, 1]
                     reach = around.radius[b, p] + rules.body_m + rules.margin_m
                     beside = reach + rules.near_person_m + rules.doubt_m_s * time_s
-                    _raise_around(cost, x, y, reach, beside, _TAKEN, rules.near_person_cost, x0, y0, cell)
+                    raise_around(cost, x, y, reach, beside, _TAKEN, rules.near_person_cost, x0, y0, cell)
             box = (boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3])
             _one_moment_before(now, following, best, total, steps, cost, kept, is_goal, box, boxes[k, 4], rules)
             following, now = now, following

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from densecavoid.baselines.surroundings import People, PeopleAround, ScanPoints
+from densecavoid.baselines.surroundings import PeopleAround, ScanPoints
 from densecavoid.baselines.unicycle import TurningConfig, follow_velocity
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, goal_polar, require
+from densecavoid.perception.people_around import People
 
 
 @dataclass(frozen=True)

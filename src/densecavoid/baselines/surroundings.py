@@ -6,25 +6,14 @@ ground truth.
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, choose, into_robot_frame, require, seen_from
-from densecavoid.perception.tracker import TrackerSettings
-from densecavoid.perception.tracks import Tracks
-
-
-class People(NamedTuple):
-    """People in the robot's frame (x ahead, y left); slots that are not `there` hold no meaning."""
-
-    pos_r: Float[np.ndarray, "B P 2"]
-    vel_r: Float[np.ndarray, "B P 2"]
-    """Over ground, seen along the robot's axes, m/s."""
-    radius_m: Float[np.ndarray, "B P"]
-    there: Bool[np.ndarray, "B P"]
+from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, choose, require
+from densecavoid.perception.people_around import People, people_around, people_of
 
 
 class PeopleAround:
@@ -69,43 +58,11 @@ class PeopleAround:
             assert frame.truth is not None
             people = frame.truth.people
             pose = frame.truth.robot_pose_w
-            return _around(pose, people.pos_w, people.vel_w, people.radius_m, people.active)
+            return people_around(pose, people.pos_w, people.vel_w, people.radius_m, people.active)
         if self._observer is None:
             self._observer = Observer(self._config, frame.num_worlds)
         self._observer.observe(frame)
         return people_of(self._observer.tracks, frame, self._standing)
-
-
-def people_of(tracks: Tracks, frame: SensorFrame, standing: bool = False) -> People:
-    """Those whom a tracker is sure of.
-
-    Args:
-        tracks: of the frame's worlds.
-        frame: what the robot's sensors gave.
-        standing: whether what has legs but has not been seen to walk is taken for somebody who stands. It may be a
-            table; its top, too, reaches beyond the legs that the lidar meets, as a body does.
-    """
-    radius_m, there = tracks.body[..., 0], tracks.confirmed
-    vel_w = tracks.state[..., 2:]
-    if standing:
-        may_be = tracks.live & ~there & (tracks.existence > TrackerSettings().confirmed)
-        vel_w, there = np.where(may_be[..., None], 0.0, vel_w), there | may_be
-    return _around(frame.odom_pose, tracks.state[..., :2], vel_w, radius_m, there)
-
-
-def _around(
-    pose: Float[np.ndarray, "B 3"],
-    pos: Float[np.ndarray, "B P 2"],
-    vel: Float[np.ndarray, "B P 2"],
-    radius_m: Float[np.ndarray, "B P"],
-    there: Bool[np.ndarray, "B P"],
-) -> People:
-    return People(
-        seen_from(pose, np.asarray(pos, np.float64)),
-        into_robot_frame(pose[:, 2], np.asarray(vel, np.float64)),
-        np.asarray(radius_m, np.float64),
-        np.asarray(there, np.bool_),
-    )
 
 
 class ScanPoints:

@@ -17,6 +17,7 @@ from densecavoid.perception.memory import ThingsRemembered
 from densecavoid.perception.networks import PeopleNetworks
 from densecavoid.perception.pipeline import PeoplePipeline, expect_people
 from densecavoid.perception.predictor.registry import make_predictor
+from densecavoid.perception.route import Route
 from densecavoid.perception.tracks import Tracks
 from densecavoid.sim._jit import for_worlds, kernel, threads_for
 
@@ -30,11 +31,15 @@ class ObserverConfig(PerceptionConfig):
     foretold_s: tuple[float, ...] = ()
     """So far ahead people are shown as further scans (`foretold_scans`), if they walk on as they do: learned predictors
     do not look so far. None: not at all."""
+    route_every_s: float = 0.0
+    """So often the way to the goal past what has been seen is looked for, and the place some way along it is shown for
+    the goal (`perception.route`); 0: the goal itself is shown."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.foretold_s:
             check_ahead("foretold_s", self.foretold_s)
+        require(0 <= self.route_every_s <= 10, "ObserverConfig.route_every_s", self.route_every_s, "0 to 10 s")
 
     @property
     def num_scans(self) -> int:
@@ -88,6 +93,9 @@ class Observer:
         self._things = (
             ThingsRemembered(config.lidar, config.camera, num_worlds, config.threads) if config.remembers else None
         )
+        every = max(1, round(config.route_every_s / config.control_dt_s))
+        sensors = config.lidar, config.camera
+        self._route = Route(*sensors, every, num_worlds, config.threads) if config.route_every_s > 0 else None
         self._walking_on = make_predictor("constant-velocity")
         self._fresh = np.ones(num_worlds, np.bool_)
         self._lidar = np.ones((num_worlds, config.num_scans, config.lidar.num_rays), np.float32)
@@ -104,6 +112,8 @@ class Observer:
         self.people.reset(which)
         if self._things is not None:
             self._things.reset(which)
+        if self._route is not None:
+            self._route.reset(which)
 
     def observe(self, frame: SensorFrame, which: Bool[np.ndarray, "B"] | None = None) -> Observation:
         """Takes in the next frame of the marked worlds (all, without `which`).
@@ -141,7 +151,10 @@ class Observer:
             where = frame.odom_pose, float(config.lidar.fov_rad)
             for_worlds(draw_foretold_scans, self.num_worlds, threads, which, scans, expected, *where)
         self._fresh[which] = False
-        distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
+        if self._route is None:
+            distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
+        else:
+            distance, bearing = self._route.update(frame, self.tracks, which)
         return Observation(
             lidar=self._lidar,
             camera=self._camera,
@@ -155,7 +168,9 @@ class Observer:
         people = {f"people.{name}": value for name, value in self.people.state_dict().items()}
         own = {"fresh": self._fresh.copy(), "lidar": self._lidar.copy(), "camera": self._camera.copy()}
         things = {} if self._things is None else self._things.state_dict()
-        return people | own | {f"things.{name}": value for name, value in things.items()}
+        route = {} if self._route is None else self._route.state_dict()
+        things = {f"things.{name}": value for name, value in things.items()}
+        return people | own | things | {f"route.{name}": value for name, value in route.items()}
 
     def load_state_dict(self, arrays: dict[str, np.ndarray]) -> None:
         """Goes on from a `state_dict`."""
@@ -163,6 +178,8 @@ class Observer:
         self.people.load_state_dict(_part(arrays, "people."))
         if self._things is not None:
             self._things.load_state_dict(_part(arrays, "things."))
+        if self._route is not None:
+            self._route.load_state_dict(_part(arrays, "route."))
         self._fresh, self._lidar = np.array(arrays["fresh"]), np.array(arrays["lidar"])
         self._camera = np.array(arrays["camera"])
 

@@ -84,6 +84,9 @@ class TrainConfig:
     """Show things that the camera saw and may not see any more in place of the oldest scan (`ObserverConfig`)."""
     foretold_s: tuple[float, ...] = ()
     """So far ahead people are shown as further scans (`ObserverConfig`)."""
+    route_every_s: float = 0.0
+    """So often the way to the goal past what has been seen is looked for, whose next place is then shown for the goal;
+    0: the goal itself is shown (`ObserverConfig`)."""
     prediction_horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
     people_from: Literal["boxes", "truth"] = "boxes"
@@ -108,6 +111,12 @@ class TrainConfig:
         choose("storage", self.storage, ("float16", "float32"))
         require(0 <= self.noise_persistence < 1, "TrainConfig.noise_persistence", self.noise_persistence, "in [0, 1)")
         require(0 <= self.averaging < 1, "TrainConfig.averaging", self.averaging, "in [0, 1)")
+        require(
+            self.route_every_s == 0 or self.sensors != "depth",
+            "TrainConfig.route_every_s",
+            self.route_every_s,
+            "0 with sensors 'depth': the way is looked for in what the lidar has seen",
+        )
         foreseen = self.foresight.steps > 0
         require(
             not (foreseen and self.imitation.teacher is not None),

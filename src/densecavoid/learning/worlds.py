@@ -24,6 +24,7 @@ def observer_config(config: TrainConfig) -> ObserverConfig:
         control_dt_s=config.sim.control_dt_s,
         remembers=config.remembers,
         foretold_s=config.foretold_s,
+        route_every_s=config.route_every_s,
         threads=config.sim.threads,
     )
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float32, Int
 
 from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, SensorFrame
+from densecavoid.perception.people_around import People
 from densecavoid.perception.projection import CameraView, camera_view, from_camera
 from densecavoid.perception.rolling_grid import CELL_M, LOWEST_M, find_nearest_things, move_grids, sees_past
-from densecavoid.sim._jit import for_worlds, inner, kernel
+from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
 
 CELLS = 128
 """Along each side of the grid; a power of two."""
@@ -71,6 +72,7 @@ def _trace(seen, places, scan, angles, pose, mount_x, max_range):
 def _update(
     first,
     last,
+    which,
     scan,
     angles,
     depth,
@@ -91,6 +93,7 @@ def _update(
     """Marks and clears cells, and lists those that are taken.
 
     Args:
+        which: bool [B] worlds.
         people, radius, there: [B, P, 2], [B, P], [B, P] in the robot's frame.
         limits: where the lidar stands ahead and its range (m), least and greatest depth (m), heights from and to (m).
         grids: u8 [B, 2, CELLS, CELLS] evidence of the lidar, and frames in which the camera saw each cell taken;
@@ -103,6 +106,8 @@ def _update(
     half, mask = CELLS // 2, CELLS - 1
     mount_x, max_range, depth_limits, heights = limits
     for b in range(first, last):
+        if not which[b]:
+            continue
         lidar, camera = grids[b, 0], grids[b, 1]
         move_grids(grids[b], centre[b], pose[b])
         seen[b, :, :] = 0
@@ -189,30 +194,26 @@ class StaticMap:
         self._grids[which] = 0
         self.count[which] = 0
 
-    def update(
-        self,
-        frame: SensorFrame,
-        people: Float[np.ndarray, "B P 2"],
-        radius_m: Float[np.ndarray, "B P"],
-        there: Bool[np.ndarray, "B P"],
-    ) -> None:
-        """Takes in the next frame.
+    def update(self, frame: SensorFrame, people: People, which: Bool[np.ndarray, "B"]) -> None:
+        """Takes in the next frame of the marked worlds.
 
         Args:
             frame: of the sensors.
-            people, radius_m, there: who is tracked, in the robot's frame.
+            people: who is known.
+            which: worlds.
         """
         for_worlds(
             _update,
             len(self.count),
-            self._threads,
+            threads_for(which, self._threads),
+            which,
             frame.scan_m,
             self._angles,
             frame.depth_m,
             frame.odom_pose,
-            people,
-            radius_m,
-            there,
+            people.pos_r,
+            people.radius_m,
+            people.there,
             self._view,
             self._limits,
             self._grids,
@@ -223,3 +224,12 @@ class StaticMap:
             self.points,
             self.count,
         )
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """The maps of all worlds, as arrays; `points` come with the next frame."""
+        return {"grids": self._grids.copy(), "places": self._places.copy(), "centre": self._centre.copy()}
+
+    def load_state_dict(self, arrays: dict[str, np.ndarray]) -> None:
+        """Goes on from a `state_dict`."""
+        self._grids, self._places = np.array(arrays["grids"]), np.array(arrays["places"])
+        self._centre = np.array(arrays["centre"])
