@@ -152,6 +152,14 @@ def test_worlds_that_are_not_marked_keep_their_place() -> None:
     assert abs(after[0, 1]) < 0.1 and after[1, 1] == before[1, 1]
 
 
+def test_another_goal_is_shown_at_once() -> None:
+    sees = Observer(ObserverConfig(people_from="nothing", route_every_s=10.0, threads=1), 1)
+    frame = frame_of_wall((0.0, 0.0, 0.0), (9.0, 9.0))
+    sees.observe(frame)
+    frame.goal_odom[0] = 0.0, 5.0
+    assert sees.observe(frame).goal[0] == pytest.approx([5.0, math.pi / 2], abs=0.05)
+
+
 def test_settings_that_make_no_sense_are_named() -> None:
     with pytest.raises(ValueError, match="route_every_s"):
         ObserverConfig(route_every_s=-1.0)

@@ -27,6 +27,7 @@ SHORTER_M = 1.0
 """Another way must be shorter by so much: to turn round costs as much as a metre or two."""
 _NEAR = 5.0  # cells: so near it is shown whatever lies between
 _NOWHERE = 1e9
+_SAME_GOAL_M = 0.3
 _STRAIGHT = 2.0  # cells: a straight way may be so much longer than what was found
 _RULES = WayRules(
     thing_m=0.37, body_m=0.30, near_m=0.25, near_slower=2.0, standing_m_s=0.12, cells=CELLS, cell_m=CELL_M
@@ -153,6 +154,7 @@ class Route:
         self._fresh = np.ones(num_worlds, np.bool_)
         self._age: Int[np.ndarray, "B"] = np.zeros(num_worlds, np.int64)
         self._places: Float[np.ndarray, "B 2"] = np.zeros((num_worlds, 2))
+        self._goal: Float[np.ndarray, "B 2"] = np.zeros((num_worlds, 2))
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets what was seen in the marked worlds."""
@@ -177,7 +179,13 @@ class Route:
         self._map.update(frame, people, which)
         distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
         goal = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-        due = which & (self._age % self._every_steps == 0)
+        # Another goal has another way; one that is given in a map moves a little with each correction of the odometry.
+        other = which & ~(np.hypot(*(frame.goal_odom - self._goal).T) < _SAME_GOAL_M)
+        self._goal[other] = frame.goal_odom[other]
+        self._fresh[other] = True
+        self._age[other] = 0
+        # To what is no number there is no way to look for.
+        due = which & (self._age % self._every_steps == 0) & np.isfinite(goal).all(axis=1)
         self._age[which] += 1
         for_worlds(
             _look,
@@ -201,7 +209,8 @@ class Route:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """The memory of all worlds, as arrays."""
-        own = {"fresh": self._fresh.copy(), "age": self._age.copy(), "places": self._places.copy()}
+        own = {"fresh": self._fresh, "age": self._age, "places": self._places, "goal": self._goal}
+        own = {name: value.copy() for name, value in own.items()}
         return own | {f"map.{name}": value for name, value in self._map.state_dict().items()}
 
     def load_state_dict(self, arrays: dict[str, np.ndarray]) -> None:
@@ -209,4 +218,4 @@ class Route:
         of_map = {name.removeprefix("map."): value for name, value in arrays.items() if name.startswith("map.")}
         self._map.load_state_dict(of_map)
         self._fresh, self._age = np.array(arrays["fresh"]), np.array(arrays["age"])
-        self._places = np.array(arrays["places"])
+        self._places, self._goal = np.array(arrays["places"]), np.array(arrays["goal"])
