@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from densecavoid.benchmark.rollout import run_episodes
-from densecavoid.frames import Navigator
+from densecavoid.frames import CameraConfig, Navigator
 from densecavoid.policy.folder_export import export_folder
 from densecavoid.robot import messages
 from densecavoid.robot.config import load_settings
@@ -70,6 +70,16 @@ def test_drives_to_the_goal_within_the_robots_limits_and_again_after_a_reset(loo
         assert np.abs(episode.command[:, 1]).max() <= 0.4 + 1e-6
     np.testing.assert_array_equal(episodes[0].command, episodes[1].command)  # nothing is kept from one to the next
     assert set(loop.reasons) <= {"driving", "limits of the robot"}  # no sensor was refused, nothing came late
+
+
+def test_drives_a_body_whose_camera_sits_elsewhere(tmp_path: Path) -> None:
+    camera = CameraConfig(160, 120, min_range_m=0.3, mount_height_m=0.6, mount_pitch_rad=0.2, mount_x_m=0.1)
+    folder: Path = export_folder("densecavoid", tmp_path / "exported")[0]
+    loop = NodeLoop(folder, load_settings("turtlebot2"), CONFIG.lidar, camera)
+    body = replace(CONFIG, camera=camera, control_dt_s=loop.control_dt_s)
+    episodes = run_episodes(Simulator(EmptyCorridor(), 1, body), loop, [1])
+    assert episodes[0].outcome == "success", loop.reasons
+    assert set(loop.reasons) <= {"driving", "limits of the robot"}
 
 
 def test_refuses_more_than_one_world(loop: NodeLoop) -> None:

@@ -11,6 +11,7 @@ import yaml
 
 from densecavoid.frames import choose, require
 from densecavoid.networks.config_json import from_dict
+from densecavoid.robot.camera_mount import CameraMount
 from densecavoid.robot.messages import Mount
 from densecavoid.safety.config import SafetyConfig
 
@@ -27,9 +28,11 @@ class RobotSettings:
     use_camera: bool = True
     """False: a robot with a lidar alone; the camera's image is empty then."""
     use_tf: bool = True
-    """Goals in other frames, and where the scanner sits, from TF; otherwise from `lidar_mount`."""
+    """Goals in other frames, and where scanner and camera sit, from TF; otherwise from their mounts below."""
     lidar_mount: Mount | None = None
     """Where the scanner sits; without it, from TF."""
+    camera_mount: CameraMount | None = None
+    """Where the depth camera sits; without it, from TF; where that does not know it, where the policy's camera sat."""
     scan_frame: str = ""
     """Frame that scans must have; empty: that of the first."""
     depth_frame: str = ""

@@ -174,16 +174,37 @@ def intrinsics_from_ros(message: Any) -> Intrinsics:
     return Intrinsics(int(message.width), int(message.height), matrix[0], matrix[4], matrix[2], matrix[5])
 
 
+def _quaternion(orientation: Any) -> tuple[float, float, float, float]:
+    x, y, z, w = (float(getattr(orientation, axis)) for axis in "xyzw")
+    norm = x * x + y * y + z * z + w * w
+    require(0.98 < norm < 1.02, "quaternion", (x, y, z, w), "of length 1")
+    return x, y, z, w
+
+
 def yaw_of(orientation: Any) -> float:
     """Heading of a quaternion about the vertical.
 
     Raises:
         ValueError: if it is not of length one.
     """
-    x, y, z, w = (float(getattr(orientation, axis)) for axis in "xyzw")
-    norm = x * x + y * y + z * z + w * w
-    require(0.98 < norm < 1.02, "quaternion", (x, y, z, w), "of length 1")
+    x, y, z, w = _quaternion(orientation)
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def rotation_of(orientation: Any) -> Float[np.ndarray, "3 3"]:
+    """A quaternion as a matrix that turns the child's axes into the parent's.
+
+    Raises:
+        ValueError: if it is not of length one.
+    """
+    x, y, z, w = np.array(_quaternion(orientation)) / np.linalg.norm(_quaternion(orientation))
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def odometry_from_ros(message: Any) -> Odometry:
@@ -302,60 +323,63 @@ def resample_scan(
     return out.astype(np.float32), seen
 
 
+def intrinsics_of(image: DepthImage, intrinsics: Intrinsics | None, camera: CameraConfig) -> Intrinsics:
+    """Of an image. A camera_info may be for the full image and the image binned: only the shape must agree.
+
+    Args:
+        image: as sent.
+        intrinsics: of its camera; without, the image is taken to have the policy's field of view.
+        camera: the policy's.
+
+    Raises:
+        ValueError: if the camera_info's shape is not the image's.
+    """
+    height, width = image.depth_m.shape
+    if intrinsics is None:
+        focal_x = width / 2 / math.tan(camera.fov_horizontal_rad / 2)
+        focal_y = height / 2 / math.tan(camera.fov_vertical_rad / 2)
+        return Intrinsics(width, height, focal_x, focal_y, width / 2 - 0.5, height / 2 - 0.5)
+    require(
+        abs(intrinsics.width * height - intrinsics.height * width) <= max(width, height),
+        "camera_info's size",
+        (intrinsics.width, intrinsics.height),
+        f"the shape of the image, {width} x {height}",
+    )
+    scale = width / intrinsics.width
+    centre = (scale * (intrinsics.centre_x + 0.5) - 0.5, scale * (intrinsics.centre_y + 0.5) - 0.5)
+    return Intrinsics(width, height, scale * intrinsics.focal_x, scale * intrinsics.focal_y, *centre)
+
+
 class DepthResampler:
-    """Depth images of any size as the policy's camera would see them: the pixel on each of its rays, and where that has
-    no depth the nearest of the pixels around it. Keeps the table of pixels of one camera."""
+    """Depth images of any size as the policy's camera would see them from where it sits: the pixel on each of its rays,
+    and where that has no depth the nearest of the pixels around it. Keeps the table of pixels of one camera."""
 
     def __init__(self, camera: CameraConfig) -> None:
         self.camera = camera
-        self._key: tuple[Intrinsics | None, tuple[int, int]] | None = None
+        self._seen: Intrinsics | None = None
         self._pixels: np.ndarray = np.zeros(0, np.int64)
         self._outside: np.ndarray = np.zeros(0, np.bool_)
 
     def __call__(self, image: DepthImage, intrinsics: Intrinsics | None) -> Float32[np.ndarray, "rows columns"]:
-        """Args:
-            image: as sent.
-            intrinsics: of the camera; without, the image is taken to have the policy's field of view.
-
-        Raises:
-            ValueError: if the camera_info's shape is not the image's.
-        """
-        height, width = image.depth_m.shape
-        if intrinsics is not None:
-            # A camera_info may be for the full image and the image binned: only the shape must agree.
-            require(
-                abs(intrinsics.width * height - intrinsics.height * width) <= max(width, height),
-                "camera_info's size",
-                (intrinsics.width, intrinsics.height),
-                f"the shape of the image, {width} x {height}",
-            )
-        if self._key != (intrinsics, (height, width)):
-            self._look_up(intrinsics, height, width)
+        """Args and errors are those of `intrinsics_of`."""
+        seen = intrinsics_of(image, intrinsics, self.camera)
+        if seen != self._seen:
+            self._look_up(seen)
         padded = np.pad(image.depth_m, 1, constant_values=np.nan).ravel()
         out = padded[self._pixels]
         holes = np.flatnonzero(np.isnan(out) & ~self._outside)
         if len(holes):
-            stride = width + 2
+            stride = seen.width + 2
             around = np.array([dv * stride + du for dv in (-1, 0, 1) for du in (-1, 0, 1)])
             out[holes] = np.fmin.reduce(padded[self._pixels[holes, None] + around], axis=1)
         out[self._outside] = np.nan
         return out.reshape(self.camera.height, self.camera.width)
 
-    def _look_up(self, intrinsics: Intrinsics | None, height: int, width: int) -> None:
-        camera = self.camera
-        if intrinsics is None:
-            focal = (
-                width / 2 / math.tan(camera.fov_horizontal_rad / 2),
-                height / 2 / math.tan(camera.fov_vertical_rad / 2),
-            )
-            centre = (width / 2 - 0.5, height / 2 - 0.5)
-        else:
-            scale = width / intrinsics.width
-            focal = (scale * intrinsics.focal_x, scale * intrinsics.focal_y)
-            centre = (scale * (intrinsics.centre_x + 0.5) - 0.5, scale * (intrinsics.centre_y + 0.5) - 0.5)
-        columns = np.floor(centre[0] - focal[0] * camera.column_slopes + 0.5).astype(np.int64)
-        rows = np.floor(centre[1] - focal[1] * camera.row_slopes + 0.5).astype(np.int64)
+    def _look_up(self, seen: Intrinsics) -> None:
+        camera, height, width = self.camera, seen.height, seen.width
+        columns = np.floor(seen.centre_x - seen.focal_x * camera.column_slopes + 0.5).astype(np.int64)
+        rows = np.floor(seen.centre_y - seen.focal_y * camera.row_slopes + 0.5).astype(np.int64)
         inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
         pixels = (rows.clip(0, height - 1)[:, None] + 1) * (width + 2) + columns.clip(0, width - 1)[None] + 1
         self._pixels, self._outside = pixels.ravel(), ~inside.ravel()
-        self._key = (intrinsics, (height, width))
+        self._seen = seen

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.frames import CameraConfig, Command, LidarConfig, SensorFrame, require
+from densecavoid.robot.camera_mount import CameraMount
 from densecavoid.robot.config import RobotSettings
 from densecavoid.robot.drivers import Drivers
 from densecavoid.robot.folder import FolderPilot
@@ -31,7 +32,7 @@ class NodeLoop:
         """
         Args:
             folder: exported (`densecavoid export`).
-            settings: of the robot. What a simulated body has not (TF, a scanner's place in it) is replaced.
+            settings: of the robot. What a simulated body has not (TF, its sensors' places in it) is replaced.
             lidar: of the body.
             camera: of the body.
 
@@ -41,7 +42,8 @@ class NodeLoop:
         ratio = settings.control_hz / settings.policy_hz
         require(abs(ratio - round(ratio)) < 1e-9, "control_hz / policy_hz", ratio, "a whole number")
         mount = Mount(x_m=lidar.mount_x_m)
-        self._settings = replace(settings, use_tf=False, lidar_mount=mount)
+        place = CameraMount.of(camera)
+        self._settings = replace(settings, use_tf=False, lidar_mount=mount, camera_mount=place)
         self._every = round(ratio)
         self._drivers = Drivers(lidar, camera)
         self._pilot = FolderPilot(folder)

@@ -16,8 +16,10 @@ import numpy as np
 
 from densecavoid.frames import SensorFrame
 from densecavoid.robot import messages
+from densecavoid.robot.camera_mount import CameraMount
 from densecavoid.robot.config import RobotSettings
 from densecavoid.robot.pilot import InThread, InTurn, Pilot, blank_frame
+from densecavoid.robot.reprojection import reproject
 from densecavoid.robot.transforms import TransformTree
 from densecavoid.robot.watchdog import SensorLimits, Watchdog, WatchdogConfig
 from densecavoid.safety import NOBODY, PeopleNear, SafeCommand, SafetyFilter
@@ -91,6 +93,10 @@ class RobotRuntime:
         self._submitted_s = -math.inf
         self._afresh = True
         self._mounts: dict[str, messages.Mount] = {}
+        self._camera_mounts: dict[str, CameraMount] = {}
+        self._policys_place = CameraMount.of(pilot.camera)
+        self.camera_place = "no image yet"
+        """Where depth images are taken from, and who says so; for people."""
         self.goal_number = 0
         """Rises with every goal that comes, is refused or is taken away: whoever gave one sees that it is another."""
 
@@ -102,6 +108,9 @@ class RobotRuntime:
     def warm_up(self) -> None:
         """Everything once, so that nothing is compiled, loaded or allocated at the first message."""
         frame = blank_frame(self.pilot.lidar, self.pilot.camera)
+        if self.settings.use_camera and (self.settings.use_tf or self.settings.camera_mount is not None):
+            blank = messages.DepthImage(0.0, "", frame.depth_m[0])
+            reproject(blank, None, self._policys_place, self.pilot.camera)
         for _ in range(3):
             self.pilot.act(frame)
         self.pilot.people((0.0, 0.0, 0.0))
@@ -140,11 +149,15 @@ class RobotRuntime:
         if image is None:
             return self.watchdog.reason("depth")
         depth, fault = None, ""
+        mount = self._camera_mount_of(image.frame, now_s)
         try:
-            depth = self._resample_depth(image, self._intrinsics)
+            if mount is None:
+                depth, why = self._resample_depth(image, self._intrinsics), "covered?"
+            else:
+                depth, why = reproject(image, self._intrinsics, mount, self.pilot.camera), "covered, or mounted so?"
             share = float(np.isfinite(depth).mean())
             if share < self.settings.min_depth_share and not self._is_view_filled():
-                fault = f"only {share:.1%} of its pixels have depth: covered?"
+                fault = f"only {share:.1%} of its pixels have depth: {why}"
         except ValueError as error:
             fault = str(error)
         refused = self.watchdog.check("depth", now_s, ros_now_s, image.stamp_s, image.frame, image.depth_m.shape, fault)
@@ -311,6 +324,32 @@ class RobotRuntime:
             except ValueError as error:
                 return str(error), messages.Mount()
         return "", self._mounts[frame]
+
+    def _camera_mount_of(self, frame: str, now_s: float) -> CameraMount | None:
+        """Where the depth camera sits; None where the policy's camera sat, as near as matters.
+
+        A place that is not known is no fault, unlike a scanner's: the filter, which prevents collisions, does without
+        images, and robots and recordings that never had a camera in TF would stand. `camera_place` says so instead.
+        """
+        mount, policys, who = self.settings.camera_mount, self._policys_place, "settings"
+        if mount is None and self.settings.use_tf:
+            who = "TF"
+            if frame not in self._camera_mounts:
+                try:
+                    transform = self.transforms.look_up_3d(
+                        self.settings.base_frame, frame, now_s, self.settings.max_transform_age_s
+                    )
+                    self._camera_mounts[frame] = CameraMount.from_transform(transform, frame)
+                except ValueError as error:
+                    self.camera_place = f"taken for the policy's ({policys}): {error}"
+                    return None
+            mount = self._camera_mounts[frame]
+        if mount is None:
+            self.camera_place = f"taken for the policy's ({policys}): no camera_mount, and no TF"
+            return None
+        is_same = mount.is_as(policys)
+        self.camera_place = f"{mount} ({who}), {'as the policy had it' if is_same else 'reprojected'}"
+        return None if is_same else mount
 
     def _is_view_filled(self) -> bool:
         """Whether the scan says that something nearer than the camera can measure stands across its whole view: then

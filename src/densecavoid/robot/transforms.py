@@ -1,4 +1,5 @@
-"""The tree of coordinate frames (TF) as far as a robot on a floor needs it: poses in the plane, and heights. No tf2.
+"""The tree of coordinate frames (TF) as far as a robot on a floor needs it: poses in the plane, and heights; whole
+rotations for cameras. No tf2.
 
 Edges that move keep their last pose only; how old it is decides whether it may be used. Static ones do not age.
 """
@@ -9,8 +10,11 @@ import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
 from densecavoid.frames import require
-from densecavoid.robot.messages import stamp_of, yaw_of
+from densecavoid.robot.messages import rotation_of, stamp_of, yaw_of
 
 _MAX_FRAMES = 1000
 
@@ -48,6 +52,12 @@ class Pose(NamedTuple):
         placed = self.then(Pose(x, y, 0.0, 0.0))
         return placed.x, placed.y
 
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """Turns the child's axes into the parent's: about the vertical, after half a turn about x if it is flipped."""
+        cos, sin, up = math.cos(self.yaw), math.sin(self.yaw), -1.0 if self.flipped else 1.0
+        return np.array([[cos, -sin * up, 0.0], [sin, cos * up, 0.0], [0.0, 0.0, up]])
+
 
 def _clean(frame: str) -> str:
     return frame.lstrip("/")  # tf of ROS 1 wrote a slash before
@@ -56,6 +66,8 @@ def _clean(frame: str) -> str:
 class _Edge(NamedTuple):
     parent: str
     pose: Pose
+    rotation: np.ndarray
+    """[3, 3] all of it, of which the pose has what stays in the plane."""
     stamp_s: float
     received_s: float
 
@@ -70,8 +82,16 @@ class TransformTree:
         """Forgets what moves (after a jump of the clock); static frames stay."""
         self._edges = {child: edge for child, edge in self._edges.items() if edge.received_s == math.inf}
 
-    def set(self, parent: str, child: str, pose: Pose, stamp_s: float = 0.0, received_s: float = math.inf) -> None:
-        """One edge; `received_s` infinite: static."""
+    def set(
+        self,
+        parent: str,
+        child: str,
+        pose: Pose,
+        stamp_s: float = 0.0,
+        received_s: float = math.inf,
+        rotation: Float[np.ndarray, "3 3"] | None = None,
+    ) -> None:
+        """One edge; `received_s` infinite: static. Without `rotation`, that of the pose in the plane."""
         parent, child = _clean(parent), _clean(child)
         require(bool(parent) and bool(child) and parent != child, "transform", (parent, child), "two different frames")
         require(all(map(math.isfinite, pose[:4])), f"transform {parent} -> {child}", pose, "finite")
@@ -79,7 +99,7 @@ class TransformTree:
         if known is not None and known.parent == parent and stamp_s < known.stamp_s:
             return  # an older one that came late
         require(len(self._edges) < _MAX_FRAMES, "number of frames", len(self._edges), f"below {_MAX_FRAMES}")
-        self._edges[child] = _Edge(parent, pose, stamp_s, received_s)
+        self._edges[child] = _Edge(parent, pose, pose.rotation if rotation is None else rotation, stamp_s, received_s)
 
     def take(self, transforms: Iterable[Any], received_s: float, static: bool) -> list[str]:
         """Takes in the TransformStamped of a message.
@@ -100,6 +120,7 @@ class TransformTree:
                     pose,
                     stamp,
                     math.inf if static else received_s,
+                    rotation_of(turn),
                 )
             except ValueError as error:
                 refused.append(str(error))
@@ -111,23 +132,48 @@ class TransformTree:
         Raises:
             ValueError: if they are not connected, or an edge between them is older than `max_age_s`; it says which.
         """
+        to_source, to_target = self._edges_between(target, source, now_s, max_age_s)
+        poses = []
+        for edges in (to_source, to_target):
+            way = Pose(0.0, 0.0, 0.0, 0.0)
+            for edge in edges:
+                way = edge.pose.then(way)
+            poses.append(way)
+        return poses[1].inverse().then(poses[0])
+
+    def look_up_3d(self, target: str, source: str, now_s: float, max_age_s: float) -> Float[np.ndarray, "4 4"]:
+        """As `look_up`, with whole rotations: a homogeneous matrix that takes points of `source` to `target`."""
+        to_source, to_target = self._edges_between(target, source, now_s, max_age_s)
+        matrices = []
+        for edges in (to_source, to_target):
+            way = np.eye(4)
+            for edge in edges:
+                step = np.eye(4)
+                step[:3, :3], step[:3, 3] = edge.rotation, edge.pose[:3]
+                way = step @ way
+            matrices.append(way)
+        return np.linalg.inv(matrices[1]) @ matrices[0]
+
+    def _edges_between(
+        self, target: str, source: str, now_s: float, max_age_s: float
+    ) -> tuple[list[_Edge], list[_Edge]]:
+        """Edges from `source` and from `target` up to where they meet."""
         target, source = _clean(target), _clean(source)
         to_root = self._chain(source)
         from_root = self._chain(target)
         common = next((frame for frame in to_root if frame in from_root), None)
         if common is None:
             raise ValueError(f"no transform {target} -> {source}: they are not connected")
-        pose = Pose(0.0, 0.0, 0.0, 0.0)
-        for chain, invert in ((to_root, False), (from_root, True)):
-            way = Pose(0.0, 0.0, 0.0, 0.0)
+        both: list[list[_Edge]] = []
+        for chain in (to_root, from_root):
+            both.append([])
             for frame in chain[: chain.index(common)]:
                 edge = self._edges[frame]
                 age = now_s - edge.received_s
                 if age > max_age_s:
                     raise ValueError(f"transform {edge.parent} -> {frame} is {age:.2f} s old")
-                way = edge.pose.then(way)
-            pose = way.inverse().then(pose) if invert else way
-        return pose
+                both[-1].append(edge)
+        return both[0], both[1]
 
     def _chain(self, frame: str) -> list[str]:
         chain = [frame]

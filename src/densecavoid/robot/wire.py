@@ -68,6 +68,7 @@ class Outgoing:
             "wheels get": f"{step.command.linear_velocity:.2f} m/s, {step.command.angular_velocity:.2f} rad/s",
             "goal": "reached" if step.goal_reached else distance,
             "people": str(len(step.people.pos_r)),
+            "camera's place": runtime.camera_place,
         }
         types = self._types
         status = types.diagnostic_status(level=types.level_of(step.level), name="densecavoid", message=step.message)
