@@ -152,6 +152,13 @@ def test_worlds_that_are_not_marked_keep_their_place() -> None:
     assert abs(after[0, 1]) < 0.1 and after[1, 1] == before[1, 1]
 
 
+def test_what_comes_between_is_passed_at_once() -> None:
+    sees = Observer(ObserverConfig(people_from="nothing", route_every_s=10.0, threads=1), 1)
+    pose = 1.0, 0.1, 0.0
+    assert abs(sees.observe(frame_of_wall(pose, (9.0, 9.0))).goal[0, 1]) < 0.1
+    assert sees.observe(frame_of_wall(pose, (-1.0, 1.0))).goal[0, 1] > 0.5
+
+
 def test_another_goal_is_shown_at_once() -> None:
     sees = Observer(ObserverConfig(people_from="nothing", route_every_s=10.0, threads=1), 1)
     frame = frame_of_wall((0.0, 0.0, 0.0), (9.0, 9.0))

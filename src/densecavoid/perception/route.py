@@ -2,8 +2,9 @@
 
 A policy sees the last moments. Where a way ends blind, or two are about as good, it turns to and fro; what it needs is
 what the robot has seen since it began, and a choice that lasts. The shortest way through the map of what stands
-(`static_map`; what has not been seen is free, who walks is not in it) is looked for again and again, and the place
-some way along it is kept until another way is clearly shorter.
+(`static_map`; what has not been seen is free, who walks is not in it) is looked for again and again, at once when
+something stands before the robot that was not there; the place some way along it is kept until another way is clearly
+shorter.
 """
 
 from __future__ import annotations
@@ -97,11 +98,34 @@ def _next_place(distance, slowness, known, goal_x, goal_y, kept_x, kept_y, ahead
     return i + 0.5 - half, j + 0.5 - half, known[i, j]
 
 
+@inner
+def _is_between(x, y, other_x, other_y, apart):
+    """Whether a place is within a distance from the way straight to another, though not where the robot stands."""
+    along = (x * other_x + y * other_y) / max(other_x * other_x + other_y * other_y, 1e-12)
+    off_x, off_y = x - min(along, 1.0) * other_x, y - min(along, 1.0) * other_y
+    return along > 0.0 and off_x * off_x + off_y * off_y < apart * apart < x * x + y * y
+
+
+@inner
+def _is_blocked(x, y, points, people, rules):
+    """Whether something, or somebody who stands, is in the way straight to a place (m)."""
+    for n in range(points.shape[0]):
+        if _is_between(points[n, 0], points[n, 1], x, y, rules.body_m):
+            return True
+    pos, vel, radius, there = people
+    for p in range(there.shape[0]):
+        stands = there[p] and math.hypot(vel[p, 0], vel[p, 1]) < rules.standing_m_s
+        if stands and _is_between(pos[p, 0], pos[p, 1], x, y, rules.body_m + radius[p]):
+            return True
+    return False
+
+
 @kernel
-def _look(first, last, due, fresh, goal, points, count, people, pose, goal_odom, rules, ahead, shorter, places):
-    """Writes the next place [B, 2] (m, odometry's frame) where it is `due`.
+def _look(first, last, which, due, fresh, goal, points, count, people, pose, goal_odom, rules, ahead, shorter, places):
+    """Writes the next place [B, 2] (m, odometry's frame) where it is `due`, or something has come between.
 
     Args:
+        which: bool [B] worlds.
         fresh: bool [B] where no place was shown before; changed.
         goal: f64 [B, 2] in the robot's frame.
         points, count: f32 [B, N, 2], [B] of what stands.
@@ -114,17 +138,20 @@ def _look(first, last, due, fresh, goal, points, count, people, pose, goal_odom,
     distance, slowness = np.zeros((cells, cells)), np.zeros((cells, cells))
     known = np.zeros((cells, cells), np.bool_)
     for b in range(first, last):
-        if not due[b]:
+        if not which[b]:
             continue
+        cos, sin = math.cos(pose[b, 2]), math.sin(pose[b, 2])
+        off_x, off_y = places[b, 0] - pose[b, 0], places[b, 1] - pose[b, 1]
+        shown_x, shown_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
         seen, (pos, vel, radius, there) = points[b, : count[b]], people
         of_world = pos[b], vel[b], radius[b], there[b]
+        if not due[b] and not _is_blocked(shown_x, shown_y, seen, of_world, rules):
+            continue
         find_ways(distance, slowness, known, goal[b, 0], goal[b, 1], seen, *of_world, rules)
-        cos, sin = math.cos(pose[b, 2]), math.sin(pose[b, 2])
         distance /= cell
         kept_x = kept_y = _NOWHERE
         if not fresh[b]:
-            off_x, off_y = places[b, 0] - pose[b, 0], places[b, 1] - pose[b, 1]
-            kept_x, kept_y = (cos * off_x + sin * off_y) / cell, (cos * off_y - sin * off_x) / cell
+            kept_x, kept_y = shown_x / cell, shown_y / cell
         goal_x, goal_y = goal[b, 0] / cell, goal[b, 1] / cell
         of_way = distance, slowness, known, goal_x, goal_y, kept_x, kept_y, ahead / cell, shorter / cell
         x, y, arrives = _next_place(*of_way)
@@ -185,12 +212,14 @@ class Route:
         self._fresh[other] = True
         self._age[other] = 0
         # To what is no number there is no way to look for.
-        due = which & (self._age % self._every_steps == 0) & np.isfinite(goal).all(axis=1)
+        known = which & np.isfinite(goal).all(axis=1)
+        due = known & (self._age % self._every_steps == 0)
         self._age[which] += 1
         for_worlds(
             _look,
             len(which),
-            threads_for(due, self._threads),
+            threads_for(known, self._threads),
+            known,
             due,
             self._fresh,
             goal,
