@@ -29,6 +29,7 @@ from densecavoid.sim.spec import WorldSpec
 _STARTS, _WORTH_STARTING = 12, 0.15
 _FROM_PERSON_M, _FROM_GOAL_M = 0.75, 1.0
 """Episodes begin at least so far from a person's middle, and from the goal."""
+_APPEARED_AHEAD_M = (2.5, 5.5)
 _TRIES = 100
 _BYTES_A_NUMBER = 2
 
@@ -52,10 +53,6 @@ class ForesightConfig:
     """Between these lies each world's difficulty. From .6 on, test worlds were met less well (docs/training.md)."""
     own_starts: float = 0.5
     """Share of episodes that begin where the scenario says; the others begin anywhere."""
-    moving_starts: float = 0.0
-    """Share of episodes in which the robot drives already, at any speed: what is near then has just appeared to it."""
-    appeared_ahead_m: tuple[float, float] = (2.5, 5.5)
-    """So far ahead of where the scenario begins those stand who would appear suddenly."""
     processes: int = 0
     """That build worlds; 0: one for each core."""
     first_std: tuple[float, float] = (0.25, 0.2)
@@ -94,15 +91,7 @@ class ForesightConfig:
         require(
             0 <= self.noise_persistence < 1, "ForesightConfig.noise_persistence", self.noise_persistence, "in [0, 1)"
         )
-        for name in ("own_starts", "moving_starts"):
-            require(0 <= getattr(self, name) <= 1, f"ForesightConfig.{name}", getattr(self, name), "in [0, 1]")
-        nearest, farthest = self.appeared_ahead_m
-        require(
-            _FROM_PERSON_M <= nearest <= farthest < 20,
-            "ForesightConfig.appeared_ahead_m",
-            self.appeared_ahead_m,
-            f"{_FROM_PERSON_M} to 20 m, in order",
-        )
+        require(0 <= self.own_starts <= 1, "ForesightConfig.own_starts", self.own_starts, "in [0, 1]")
         for name in ("first_std", "last_std"):
             require(min(getattr(self, name)) > 0, f"ForesightConfig.{name}", getattr(self, name), "positive")
 
@@ -119,7 +108,6 @@ class AnyLevel:
 
     scenario: TrainingScenario
     levels: tuple[float, float]
-    appeared_ahead_m: tuple[float, float]
 
     @property
     def name(self) -> str:
@@ -131,7 +119,7 @@ class AnyLevel:
             return spec
         # Where they appear depends on the robot's way; to one that starts near them they have just appeared.
         pos = spec.crowd.pos.copy()
-        pos[:, 0] = spec.start_pose[0] + rng.uniform(*self.appeared_ahead_m)
+        pos[:, 0] = spec.start_pose[0] + rng.uniform(*_APPEARED_AHEAD_M)
         facing = np.full(len(pos), math.pi)
         return replace(spec, crowd=replace(spec.crowd, pos=pos, goal=pos, heading_rad=facing), appearance=None)
 
@@ -160,8 +148,7 @@ def build_world(seed: int, number: int, config: ForesightConfig, sim: SimConfig)
     Raises:
         ValueError: if there never is, saying what was wrong with the last one.
     """
-    scenarios = tuple(AnyLevel(stage, config.levels, config.appeared_ahead_m) for stage in TRAINING.values())
-    worlds = Mixture(scenarios, config.shares)
+    worlds = Mixture(tuple(AnyLevel(stage, config.levels) for stage in TRAINING.values()), config.shares)
     sim = replace(sim, threads=1)
     wrong: ValueError | None = None
     for attempt in range(_TRIES):
@@ -229,14 +216,9 @@ class ForeseenWorlds:
         start = world.spec.start_pose
         if rng.random() >= self.config.own_starts:
             start = world.starts[int(rng.integers(len(world.starts)))]
-        velocity = 0.0, 0.0
-        if rng.random() < self.config.moving_starts:
-            robot = self.sim.robot
-            turning = robot.max_angular_velocity
-            velocity = float(rng.uniform(0.0, robot.max_linear_velocity)), float(rng.uniform(-turning, turning))
         self.drawn.append(slot)
         rng.bit_generator.state = world.random_state
-        return replace(world.spec, start_pose=start, start_velocity=velocity)
+        return replace(world.spec, start_pose=start)
 
     def state_dict(self) -> dict[str, Any]:
         """Which worlds are held; they are built anew on loading."""

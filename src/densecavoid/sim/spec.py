@@ -166,12 +166,10 @@ class WorldSpec:
     """Places on the way to the goal that the reward may praise (paper, Reward Function)."""
     appearance: Appearance | None = None
     replay: Replay | None = None
-    start_velocity: tuple[float, float] = (0.0, 0.0)
-    """Linear (m/s) and angular (rad/s) velocity that the robot has already."""
 
     def __post_init__(self) -> None:
-        numbers = (*self.start_pose, *self.start_velocity, *self.goal)
-        require(bool(np.isfinite(numbers).all()), "WorldSpec start, its velocity and goal", numbers, "finite")
+        numbers = (*self.start_pose, *self.goal)
+        require(bool(np.isfinite(numbers).all()), "WorldSpec start and goal", numbers, "finite")
         require(self.time_limit_s > 0, "WorldSpec.time_limit_s", self.time_limit_s, "positive")
         require(self.collision_distance_m > 0, "WorldSpec.collision_distance_m", self.collision_distance_m, "positive")
 

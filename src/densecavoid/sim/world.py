@@ -323,7 +323,7 @@ class Simulator:
         self.scenario_name[b] = spec.scenario
 
         state.robot_pose[b] = state.start_pose[b] = spec.start_pose
-        state.robot_velocity[b] = state.pending_command[b] = spec.start_velocity
+        state.robot_velocity[b] = state.pending_command[b] = 0.0
         state.trail[b] = 0.0
         state.goal[b] = spec.goal
         state.step_count[b] = 0
