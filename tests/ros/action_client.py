@@ -239,7 +239,13 @@ class Scenes:
         """It faces the wall and cannot move: it tries to turn towards the free way."""
         self.world.pose, self.world.stuck = np.array([0.0, 0.0, 1.2]), True
         goal = self.goal(1000.0, "odom")
-        self.run(limit_s, lambda: any(recoveries for _, _, recoveries, _ in goal.feedback))
+
+        def escapes() -> bool:
+            # Feedback and diagnostics come at different times.
+            said = any(reason.startswith("frozen") for _, reason in self.log.reasons)
+            return said and any(recoveries for _, _, recoveries, _ in goal.feedback)
+
+        self.run(limit_s, escapes)
         self.world.pose, self.world.stuck = np.zeros(3), False
         goal.handle.cancel_goal_async()
         self.run(3.0, lambda: goal.result is not None)
