@@ -17,12 +17,13 @@ import tyro
 
 from densecavoid.baselines.dwa import Dwa, DwaConfig
 from densecavoid.baselines.frozone import Frozone, FrozoneConfig
-from densecavoid.baselines.lookahead import Lookahead, LookaheadConfig
+from densecavoid.baselines.lookahead import Lookahead
 from densecavoid.baselines.orca import Orca, OrcaConfig
 from densecavoid.baselines.social_force import SocialForce, SocialForceConfig
 from densecavoid.benchmark.metrics import episode_metrics
 from densecavoid.benchmark.rollout import run_episodes
 from densecavoid.frames import Navigator
+from densecavoid.perception.outlook import OutlookConfig
 from densecavoid.policy.navigator import load_policy
 from densecavoid.scenarios import PLACES, TRAINING
 from densecavoid.sim.spec import Scenario
@@ -76,7 +77,7 @@ NAVIGATORS: dict[str, tuple[Any, Callable[[Any], Navigator], Ranges]] = {
         },
     ),
     "lookahead": (
-        LookaheadConfig(),
+        OutlookConfig(),
         lambda config: Lookahead(config=config),
         {
             "slip": (0.03, 0.2),

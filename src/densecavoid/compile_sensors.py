@@ -10,7 +10,7 @@ from densecavoid.sim.world import SimConfig, Simulator
 def main() -> None:
     """One look at one world that nobody has filled: kernels depend on the kinds of their arguments alone."""
     all_there_is = ObserverConfig(
-        people_from="detector", remembers=True, foretold_s=(1.0,), route_every_s=1.0, threads=1
+        people_from="detector", remembers=True, foretold_s=(1.0,), route_every_s=1.0, weighs_commands=True, threads=1
     )
     Observer(all_there_is, 1).observe(Simulator(make_scenario("random-goal"), 1, SimConfig(threads=1)).sense())
 

@@ -200,6 +200,10 @@ class SensorFrame:
         return self.scan_m.shape[0]
 
 
+COMMAND_GRID = np.array([(v, w) for v in (0.0, 0.25, 0.5, 0.75, 1.0) for w in (-1.0, -0.5, 0.0, 0.5, 1.0)])
+"""Commands that are weighed against each other: linear and angular velocity as shares of the robot's greatest."""
+
+
 class Observation(NamedTuple):
     """The policy's input, o = [lidar, camera, goal, velocity, prediction] (paper, Section III-A)."""
 
@@ -215,6 +219,9 @@ class Observation(NamedTuple):
     """Linear (m/s) and angular (rad/s) velocity."""
     prediction: UInt8[np.ndarray, "B height width"]
     """The prediction frame: 0 (black) where a person is expected, 255 (white) elsewhere."""
+    worth: Float32[np.ndarray, "B commands"]
+    """What each of `COMMAND_GRID` would be worth in the world as perceived (`perception.outlook`; reaching the goal at
+    once is 1, a collision at once -.5), where the policy is told; 0 elsewhere."""
 
 
 class Command(NamedTuple):

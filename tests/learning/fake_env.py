@@ -36,6 +36,7 @@ class PointEnv(VectorEnv):
                 "goal": gym.spaces.Box(-np.inf, np.inf, (2,), np.float32),
                 "velocity": gym.spaces.Box(-np.inf, np.inf, (2,), np.float32),
                 "prediction": gym.spaces.Box(0, 255, IMAGE, np.uint8),
+                "worth": gym.spaces.Box(-1.0, 1.0, (25,), np.float32),
             }
         )
         self.single_action_space = gym.spaces.Box(np.array([0, -0.4], np.float32), np.array([1, 0.4], np.float32))
@@ -91,6 +92,7 @@ class PointEnv(VectorEnv):
             "goal": np.stack([np.ones(N), self.bearing], axis=1).astype(np.float32),
             "velocity": np.zeros((N, 2), np.float32),
             "prediction": np.full((N, *IMAGE), 255, np.uint8),
+            "worth": np.zeros((N, 25), np.float32),
         }
         if self.people > 0:
             told = np.zeros((N, self.people, 6), np.float32)

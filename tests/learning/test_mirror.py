@@ -14,6 +14,7 @@ torch = pytest.importorskip("torch")
 from fake_env import PointEnv  # noqa: E402
 
 from densecavoid.env import DenseCAvoidVectorEnv  # noqa: E402
+from densecavoid.env.observation import ObserverConfig  # noqa: E402
 from densecavoid.learning import ppo  # noqa: E402
 from densecavoid.learning.collector import Collector  # noqa: E402
 from densecavoid.learning.mirror import mirror_action, mirror_observation, mirror_people  # noqa: E402
@@ -45,7 +46,8 @@ class OneSided:
 def test_the_mirror_shows_what_a_mirrored_world_shows() -> None:
     seen = []
     for side in (1.0, -1.0):
-        env = DenseCAvoidVectorEnv(OneSided(side), 1)
+        config = ObserverConfig(route_every_s=0.5, weighs_commands=True)
+        env = DenseCAvoidVectorEnv(OneSided(side), 1, observer=config)
         observation, _ = env.reset(seed=0)
         for _ in range(4):
             observation, *_ = env.step(np.array([[0.3, 0.25 * side]], np.float32))
@@ -54,7 +56,10 @@ def test_the_mirror_shows_what_a_mirrored_world_shows() -> None:
     assert (left.lidar - right.lidar).abs().max() > 0.1, "the test needs a world with two different sides"
     mirrored = mirror_observation(left, torch.tensor([True]))
     torch.testing.assert_close(mirrored.lidar, right.lidar, atol=2e-3, rtol=0)
-    torch.testing.assert_close(mirrored.goal, right.goal, atol=1e-5, rtol=0)
+    assert (left.worth - right.worth).abs().max() > 0.01
+    # The map's cells are not mirrored with the world.
+    torch.testing.assert_close(mirrored.worth, right.worth, atol=0.003, rtol=0)
+    torch.testing.assert_close(mirrored.goal, right.goal, atol=0.1, rtol=0)
     torch.testing.assert_close(mirrored.velocity, right.velocity, atol=1e-6, rtol=0)
     differ = (mirrored.camera.int() - right.camera.int()).abs() > 2
     assert differ.float().mean() < 0.01, "but for pixels on an edge"
@@ -99,6 +104,7 @@ def test_learning_in_the_mirror_is_learning_from_mirrored_samples(
             seen = rollout.observation
             turned = {name: getattr(seen, name).flip(-1) for name in ("lidar", "camera", "prediction")}
             turned |= {name: getattr(seen, name) * across for name in ("goal", "velocity")}
+            turned |= {"worth": seen.worth.unflatten(-1, (5, 5)).flip(-1).flatten(-2)}
             rollout.observation, rollout.action = ObservationTensors(**turned), rollout.action * across
         else:
             monkeypatch.setattr(ppo, "minibatches", all_mirrored)

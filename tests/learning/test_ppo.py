@@ -87,6 +87,7 @@ def test_sensors_that_are_not_there_are_blank_in_the_rollout(tiny_network: Netwo
             return super().observe() | {
                 "lidar": np.full((self.num_envs, 3, 16), 0.3, np.float32),
                 "prediction": np.zeros((self.num_envs, 4, 8), np.uint8),
+                "worth": np.zeros((self.num_envs, 25), np.float32),
             }
 
     for sensors, lidar, prediction in (("densecavoid", 0.3, 0), ("depth-lidar", 0.3, 255), ("depth", 1.0, 255)):

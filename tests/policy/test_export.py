@@ -27,13 +27,16 @@ def random_observation(batch: int, scans: int = NUM_SCANS) -> Observation:
         rng.uniform([0, -3], [30, 3], (batch, 2)).astype(np.float32),
         rng.uniform([0, -0.4], [1, 0.4], (batch, 2)).astype(np.float32),
         rng.integers(0, 256, (batch, 60, 80), dtype=np.uint8),
+        rng.uniform(-0.5, 1, (batch, 25)).astype(np.float32),
     )
 
 
-@pytest.fixture(scope="module", params=["compact", "paper"])
+@pytest.fixture(scope="module", params=["compact", "paper", "weighing"])
 def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[ActorCritic, Path]:
     torch.manual_seed(0)
-    network = ActorCritic(NetworkConfig.preset(request.param))
+    weighs = request.param == "weighing"
+    config = NetworkConfig.preset("compact" if weighs else request.param)
+    network = ActorCritic(dataclasses.replace(config, worth_features=64 if weighs else 0))
     torch.nn.init.orthogonal_(network.actor_output.weight)
     path = tmp_path_factory.mktemp("export") / f"{request.param}.onnx"
     export_onnx(path, network, describe(network, request.param, observation={"horizon_s": 0.4}, training={"steps": 3}))
@@ -103,6 +106,9 @@ def test_wrong_inputs_and_files_are_named(exported: tuple[ActorCritic, Path], tm
         policy(observation._replace(goal=observation.goal[:1]))
     with pytest.raises(ValueError, match=r"observation.lidar has shape \(2, 3, 100\), expected \(2, 3, 512\)"):
         policy(observation._replace(lidar=observation.lidar[:, :, :100].copy()))
+    if "worth" in policy.inputs:
+        with pytest.raises(ValueError, match=r"observation.worth has shape \(2, 24\), expected \(2, 25\)"):
+            policy(observation._replace(worth=observation.worth[:, :24]))
     with pytest.raises(FileNotFoundError, match="no policy 'nobody': not a file"):
         OnnxPolicy("nobody")
     (tmp_path / "broken.onnx").write_bytes(b"not a graph")

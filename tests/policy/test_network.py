@@ -30,13 +30,18 @@ def random_observation(batch: int, seed: int = 0) -> ObservationTensors:
         torch.from_numpy(rng.uniform([0, -3], [20, 3], (batch, 2)).astype(np.float32)),
         torch.from_numpy(rng.uniform([0, -0.4], [1, 0.4], (batch, 2)).astype(np.float32)),
         torch.from_numpy(image[1]),
+        torch.from_numpy(rng.uniform(-0.5, 1, (batch, 25)).astype(np.float32)),
     )
 
 
-@pytest.fixture(params=["compact", "paper"])
+WEIGHING = dataclasses.replace(NetworkConfig.preset("compact"), name="weighing", worth_features=64)
+"""Is told what commands are worth."""
+
+
+@pytest.fixture(params=[NetworkConfig.preset("compact"), NetworkConfig.preset("paper"), WEIGHING], ids=lambda c: c.name)
 def network(request: pytest.FixtureRequest) -> ActorCritic:
     torch.manual_seed(0)
-    return ActorCritic(NetworkConfig.preset(request.param))
+    return ActorCritic(request.param)
 
 
 def test_the_papers_network_has_the_published_layers() -> None:
@@ -69,7 +74,7 @@ def test_the_papers_network_has_the_published_size() -> None:
 def test_operations_are_those_that_torch_counts() -> None:
     from torch.utils.flop_counter import FlopCounterMode
 
-    for config in PRESETS.values():
+    for config in (*PRESETS.values(), WEIGHING):
         network = ActorCritic(config)
         network.set_patch_products(False)
         with FlopCounterMode(display=False) as counter, torch.no_grad():
@@ -127,7 +132,8 @@ def test_every_part_of_the_observation_matters(network: ActorCritic) -> None:
         before = network.mean(one)
         for name in ObservationTensors._fields:
             after = network.mean(one._replace(**{name: getattr(other, name)}))
-            assert (after - before).abs().max() > 1e-4, name
+            seen = name != "worth" or network.config.worth_features > 0
+            assert ((after - before).abs().max() > 1e-4) == seen, name
 
 
 def test_an_empty_view_is_all_zeros_to_the_camera_branch() -> None:

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
-from densecavoid.frames import NUM_SCANS, Observation, SensorFrame, goal_polar, require
+from densecavoid.frames import COMMAND_GRID, NUM_SCANS, Observation, RobotConfig, SensorFrame, goal_polar, require
 from densecavoid.perception.config import PerceptionConfig, check_ahead
 from densecavoid.perception.foretold_scans import draw_foretold_scans
 from densecavoid.perception.memory import ThingsRemembered
 from densecavoid.perception.networks import PeopleNetworks
+from densecavoid.perception.outlook import OBSERVED, Outlook
+from densecavoid.perception.people_around import people_of
 from densecavoid.perception.pipeline import PeoplePipeline, expect_people
 from densecavoid.perception.predictor.registry import make_predictor
 from densecavoid.perception.route import Route
@@ -34,12 +36,19 @@ class ObserverConfig(PerceptionConfig):
     route_every_s: float = 0.0
     """So often the way to the goal past what has been seen is looked for, and the place some way along it is shown for
     the goal (`perception.route`); 0: the goal itself is shown."""
+    weighs_commands: bool = False
+    """Whether the policy is told what commands would be worth in what is known around (`perception.outlook`); needs
+    the ways of `route_every_s`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.foretold_s:
             check_ahead("foretold_s", self.foretold_s)
         require(0 <= self.route_every_s <= 10, "ObserverConfig.route_every_s", self.route_every_s, "0 to 10 s")
+        weighs = self.weighs_commands
+        require(
+            not weighs or self.route_every_s > 0, "ObserverConfig.weighs_commands", weighs, "a route_every_s with it"
+        )
 
     @property
     def num_scans(self) -> int:
@@ -96,6 +105,8 @@ class Observer:
         every = max(1, round(config.route_every_s / config.control_dt_s))
         sensors = config.lidar, config.camera
         self._route = Route(*sensors, every, num_worlds, config.threads) if config.route_every_s > 0 else None
+        self._outlook = Outlook(OBSERVED, RobotConfig(), config.threads) if config.weighs_commands else None
+        self._worth = np.zeros((num_worlds, len(COMMAND_GRID)), np.float32)
         self._walking_on = make_predictor("constant-velocity")
         self._fresh = np.ones(num_worlds, np.bool_)
         self._lidar = np.ones((num_worlds, config.num_scans, config.lidar.num_rays), np.float32)
@@ -154,19 +165,24 @@ class Observer:
         if self._route is None:
             distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
         else:
-            distance, bearing = self._route.update(frame, self.tracks, which)
+            people = people_of(self.tracks, frame, standing=True)
+            distance, bearing = self._route.update(frame, people, which)
+            if self._outlook is not None:
+                self._outlook.look(self._route.around, which & np.isfinite(distance), self._worth)
         return Observation(
             lidar=self._lidar,
             camera=self._camera,
             goal=np.stack([distance, bearing], axis=1).astype(np.float32),
             velocity=frame.velocity.astype(np.float32),
             prediction=self.people.prediction,
+            worth=self._worth,
         )
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """The memory of all worlds, as arrays."""
         people = {f"people.{name}": value for name, value in self.people.state_dict().items()}
         own = {"fresh": self._fresh.copy(), "lidar": self._lidar.copy(), "camera": self._camera.copy()}
+        own["worth"] = self._worth.copy()
         things = {} if self._things is None else self._things.state_dict()
         route = {} if self._route is None else self._route.state_dict()
         things = {f"things.{name}": value for name, value in things.items()}
@@ -181,7 +197,7 @@ class Observer:
         if self._route is not None:
             self._route.load_state_dict(_part(arrays, "route."))
         self._fresh, self._lidar = np.array(arrays["fresh"]), np.array(arrays["lidar"])
-        self._camera = np.array(arrays["camera"])
+        self._camera, self._worth = np.array(arrays["camera"]), np.array(arrays["worth"])
 
     def _check(self, frame: SensorFrame) -> None:
         camera = self.config.camera

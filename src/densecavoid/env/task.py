@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Float32
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.env.reward import RewardConfig, Transition, reward_terms
-from densecavoid.frames import NUM_SCANS, Command, Observation, require
+from densecavoid.frames import COMMAND_GRID, NUM_SCANS, Command, Observation, require
 from densecavoid.sim.spec import Scenario
 from densecavoid.sim.world import SimConfig, Simulator
 
@@ -164,7 +164,7 @@ class NavigationTask:
 
 
 def observation_space(config: SimConfig, num_scans: int = NUM_SCANS) -> spaces.Space:
-    """o = [lidar, camera, goal, velocity, prediction] of one robot (frames.Observation)."""
+    """o = [lidar, camera, goal, velocity, prediction, worth] of one robot (frames.Observation)."""
     robot, image = config.robot, (config.camera.height, config.camera.width)
     limit = np.array([robot.max_linear_velocity, robot.max_angular_velocity], np.float32)
     return spaces.Dict(
@@ -176,6 +176,7 @@ def observation_space(config: SimConfig, num_scans: int = NUM_SCANS) -> spaces.S
             ),
             "velocity": spaces.Box(-limit, limit, dtype=np.float32),
             "prediction": spaces.Box(0, 255, image, np.uint8),
+            "worth": spaces.Box(-1.0, 1.0, (len(COMMAND_GRID),), np.float32),
         }
     )
 

@@ -16,6 +16,8 @@ from densecavoid.sim.robot import drive
 
 FRAME = 6
 """Cells; a robot moves less far in a step."""
+SPEEDS, TURNS = (1.0, 0.5, 0.0), (0.0, 1.0, -1.0)
+"""Commands that the programme weighs, as shares of the robot's greatest."""
 STEPS_OF_SCALE = 32000.0
 """Values from -1 to 1 are kept as 16-bit integers."""
 

@@ -20,10 +20,6 @@ from densecavoid.scenarios.free_space import Area, clearance_grid_m
 from densecavoid.sim.config import SimConfig
 from densecavoid.sim.spec import WorldSpec
 
-SPEEDS, TURNS = (1.0, 0.5, 0.0), (0.0, 1.0, -1.0)
-"""Commands that the programme weighs, as shares of the robot's greatest."""
-COMMAND_GRID = np.array([(v, w) for v in (0.0, 0.25, 0.5, 0.75, 1.0) for w in (-1.0, -0.5, 0.0, 0.5, 1.0)])
-"""Commands that a robot chooses among by their worth: linear and angular velocity as shares of its greatest."""
 _BEYOND_M = 1.5
 """So far around start and goal the robot may go where no walls say more."""
 _LARGEST_ROOM_M = 13.0
@@ -259,5 +255,5 @@ def _steps(max_linear: float, max_angular: float, hold_s: float, cell: float) ->
         hold_s,
         f"shorter than {kernels.FRAME - 1} cells of {cell:.2f} m at {max_linear} m/s",
     )
-    commands = [(v * max_linear, w * turn / hold_s, w) for v in SPEEDS for w in TURNS]
+    commands = [(v * max_linear, w * turn / hold_s, w) for v in kernels.SPEEDS for w in kernels.TURNS]
     return kernels.steps_of_commands(np.array(commands), headings, hold_s, cell)

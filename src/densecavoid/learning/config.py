@@ -87,6 +87,9 @@ class TrainConfig:
     route_every_s: float = 0.0
     """So often the way to the goal past what has been seen is looked for, whose next place is then shown for the goal;
     0: the goal itself is shown (`ObserverConfig`)."""
+    weighs_commands: bool = False
+    """Tell the policy what commands would be worth in what is known around, if people walk on as they do; needs
+    `route_every_s` (`ObserverConfig`)."""
     prediction_horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
     people_from: Literal["boxes", "truth"] = "boxes"
@@ -116,6 +119,12 @@ class TrainConfig:
             "TrainConfig.route_every_s",
             self.route_every_s,
             "0 with sensors 'depth': the way is looked for in what the lidar has seen",
+        )
+        require(
+            not self.weighs_commands or self.route_every_s > 0,
+            "TrainConfig.weighs_commands",
+            self.weighs_commands,
+            "false without route_every_s: commands are weighed by the ways that it finds",
         )
         foreseen = self.foresight.steps > 0
         require(
@@ -167,6 +176,7 @@ class TrainConfig:
         return replace(
             config.with_robot(robot.max_linear_velocity, robot.max_angular_velocity),
             num_scans=NUM_SCANS + len(self.foretold_s),
+            worth_features=64 if self.weighs_commands else 0,
             normalise_inputs=self.normalise_inputs or config.normalise_inputs,
             normalise_values=self.normalise_values or config.normalise_values,
         )

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from densecavoid.env.environments import DenseCAvoidVectorEnv
-from densecavoid.foresight.value_field import COMMAND_GRID
-from densecavoid.frames import require
+from densecavoid.frames import COMMAND_GRID, require
 from densecavoid.learning.foreseen_worlds import ForeseenWorlds
 
 UNIT = 20.0

@@ -8,19 +8,24 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from densecavoid.frames import COMMAND_GRID
 from densecavoid.policy.network import ObservationTensors
 
 _LEFT_IS_NEGATIVE = {"goal": 1, "velocity": 1}
 """Which number of these changes its sign: bearing, angular velocity."""
 _PEOPLE_ACROSS = (1, 3)
 """y and velocity along y."""
+_TURNED_COMMANDS = [COMMAND_GRID.tolist().index([v, -w]) for v, w in COMMAND_GRID]
+"""Which command of the grid each becomes."""
 
 
 def mirror_observation(observation: ObservationTensors, which: Bool[Tensor, "B"]) -> ObservationTensors:
     """The observation with the marked samples seen in the mirror. Sensors look straight ahead from the middle."""
     changed = {}
     for name, x in observation._asdict().items():
-        if name in _LEFT_IS_NEGATIVE:
+        if name == "worth":
+            changed[name] = torch.where(which[:, None], x[:, _TURNED_COMMANDS], x)
+        elif name in _LEFT_IS_NEGATIVE:
             changed[name] = _negated(x, (_LEFT_IS_NEGATIVE[name],), which[:, None])
         else:
             changed[name] = x.clone()

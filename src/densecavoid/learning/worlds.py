@@ -25,6 +25,7 @@ def observer_config(config: TrainConfig) -> ObserverConfig:
         remembers=config.remembers,
         foretold_s=config.foretold_s,
         route_every_s=config.route_every_s,
+        weighs_commands=config.weighs_commands,
         threads=config.sim.threads,
     )
 

@@ -12,13 +12,22 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 
-from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, SensorFrame, goal_polar
-from densecavoid.perception.people_around import people_of
+from densecavoid.frames import (
+    CameraConfig,
+    LidarConfig,
+    RobotConfig,
+    SensorFrame,
+    goal_polar,
+    require,
+    seen_from,
+    wrap_angle,
+)
+from densecavoid.perception.outlook_kernels import Around
+from densecavoid.perception.people_around import People
 from densecavoid.perception.rolling_grid import CELL_M
 from densecavoid.perception.static_map import CELLS, StaticMap
-from densecavoid.perception.tracks import Tracks
 from densecavoid.perception.ways import BLOCKED_SLOWER, WayRules, find_ways
 from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
 
@@ -34,7 +43,7 @@ _RULES = WayRules(
     thing_m=0.37, body_m=0.30, near_m=0.25, near_slower=2.0, standing_m_s=0.12, cells=CELLS, cell_m=CELL_M
 )
 """The paper's collision distance, and half a cell and a little more beside things, whose cells are not exactly where
-they are; as in `baselines.lookahead`."""
+they are: a gap is worth waiting for only if it is one in the coarser of two grids, too (`outlook`)."""
 
 
 @inner
@@ -121,8 +130,26 @@ def _is_blocked(x, y, points, people, rules):
 
 
 @kernel
-def _look(first, last, which, due, fresh, goal, points, count, people, pose, goal_odom, rules, ahead, shorter, places):
-    """Writes the next place [B, 2] (m, odometry's frame) where it is `due`, or something has come between.
+def _look(
+    first,
+    last,
+    which,
+    due,
+    fresh,
+    goal,
+    points,
+    count,
+    people,
+    pose,
+    goal_odom,
+    rules,
+    ahead,
+    shorter,
+    places,
+    ways,
+    ways_from,
+):
+    """Writes the next place and the ways where it is `due`, or something has come between.
 
     Args:
         which: bool [B] worlds.
@@ -133,6 +160,9 @@ def _look(first, last, which, due, fresh, goal, points, count, people, pose, goa
         pose, goal_odom: f64 [B, 3], [B, 2].
         rules: a `WayRules`.
         ahead, shorter: `AHEAD_M`, `SHORTER_M`.
+        places: f64 [B, 2] (m, odometry's frame).
+        ways: f32 [B, C, C] length of the way to the goal (m) from the cells of the map as it lay then,
+        ways_from: f64 [B, 3] and the robot's pose, which the map lies around.
     """
     cells, cell = rules.cells, rules.cell_m
     distance, slowness = np.zeros((cells, cells)), np.zeros((cells, cells))
@@ -148,6 +178,8 @@ def _look(first, last, which, due, fresh, goal, points, count, people, pose, goa
         if not due[b] and not _is_blocked(shown_x, shown_y, seen, of_world, rules):
             continue
         find_ways(distance, slowness, known, goal[b, 0], goal[b, 1], seen, *of_world, rules)
+        ways[b] = distance
+        ways_from[b] = pose[b]
         distance /= cell
         kept_x = kept_y = _NOWHERE
         if not fresh[b]:
@@ -167,7 +199,13 @@ class Route:
     """One map and one next place a world."""
 
     def __init__(
-        self, lidar: LidarConfig, camera: CameraConfig, every_steps: int, num_worlds: int, threads: int = 0
+        self,
+        lidar: LidarConfig,
+        camera: CameraConfig,
+        every_steps: int,
+        num_worlds: int,
+        threads: int = 0,
+        robot: RobotConfig = RobotConfig(),
     ) -> None:
         """
         Args:
@@ -175,13 +213,17 @@ class Route:
             every_steps: frames after which the way is looked for again.
             num_worlds: B.
             threads: over the worlds; 0 takes all cores.
+            robot: what begins above its height is in nobody's way.
         """
-        self._map = StaticMap(lidar, camera, RobotConfig(), num_worlds, threads)
+        self._map = StaticMap(lidar, camera, robot, num_worlds, threads)
         self._every_steps, self._threads = every_steps, threads
         self._fresh = np.ones(num_worlds, np.bool_)
         self._age: Int[np.ndarray, "B"] = np.zeros(num_worlds, np.int64)
         self._places: Float[np.ndarray, "B 2"] = np.zeros((num_worlds, 2))
         self._goal: Float[np.ndarray, "B 2"] = np.zeros((num_worlds, 2))
+        self._ways: Float32[np.ndarray, "B C C"] = np.zeros((num_worlds, CELLS, CELLS), np.float32)
+        self._ways_from: Float[np.ndarray, "B 3"] = np.zeros((num_worlds, 3))
+        self._around: Around | None = None
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets what was seen in the marked worlds."""
@@ -190,22 +232,20 @@ class Route:
         self._age[which] = 0
 
     def update(
-        self, frame: SensorFrame, tracks: Tracks, which: Bool[np.ndarray, "B"]
+        self, frame: SensorFrame, people: People, which: Bool[np.ndarray, "B"]
     ) -> tuple[Float[np.ndarray, "B"], Float[np.ndarray, "B"]]:
         """Takes in the next frame of the marked worlds.
 
         Args:
             frame: of the sensors.
-            tracks: people; those who stand are in the way, and nobody leaves a trail in the map.
+            people: who is known; those who stand are in the way, and nobody leaves a trail in the map.
             which: worlds.
 
         Returns:
             Distance (m) and bearing (rad) of the next place, for all worlds; it never seems nearer than the goal.
         """
-        people = people_of(tracks, frame, standing=True)
         self._map.update(frame, people, which)
-        distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
-        goal = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        goal = seen_from(frame.odom_pose, frame.goal_odom[:, None])[:, 0]
         # Another goal has another way; one that is given in a map moves a little with each correction of the odometry.
         other = which & ~(np.hypot(*(frame.goal_odom - self._goal).T) < _SAME_GOAL_M)
         self._goal[other] = frame.goal_odom[other]
@@ -232,13 +272,31 @@ class Route:
             AHEAD_M,
             SHORTER_M,
             self._places,
+            self._ways,
+            self._ways_from,
         )
+        self._around = self._what_is_around(frame, goal, people)
+        distance, _ = goal_polar(frame.odom_pose, frame.goal_odom)
         to_place, bearing = goal_polar(frame.odom_pose, self._places)
         return np.maximum(distance, to_place), bearing
+
+    @property
+    def around(self) -> Around:
+        """What the way was looked for in, as of the last update."""
+        require(self._around is not None, "Route.around", None, "an update before")
+        assert self._around is not None
+        return self._around
+
+    def _what_is_around(self, frame: SensorFrame, goal: Float[np.ndarray, "B 2"], people: People) -> Around:
+        moved = seen_from(self._ways_from, frame.odom_pose[:, None, :2])[:, 0]
+        turned = wrap_angle(frame.odom_pose[:, 2] - self._ways_from[:, 2])
+        way_from = np.column_stack([moved, turned])
+        return Around(goal, self._map.points, self._map.count, *people, self._ways, way_from)
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """The memory of all worlds, as arrays."""
         own = {"fresh": self._fresh, "age": self._age, "places": self._places, "goal": self._goal}
+        own |= {"ways": self._ways, "ways_from": self._ways_from}
         own = {name: value.copy() for name, value in own.items()}
         return own | {f"map.{name}": value for name, value in self._map.state_dict().items()}
 
@@ -248,3 +306,4 @@ class Route:
         self._map.load_state_dict(of_map)
         self._fresh, self._age = np.array(arrays["fresh"]), np.array(arrays["age"])
         self._places, self._goal = np.array(arrays["places"]), np.array(arrays["goal"])
+        self._ways, self._ways_from = np.array(arrays["ways"]), np.array(arrays["ways_from"])

@@ -65,20 +65,18 @@ def spread_distances(distance, slowness, known, cell):
 
 @inner
 def raise_around(grid, x, y, hit, reach, inside, beside, x0, y0, cell):
-    """Raises the cells [X, Y] whose middles are nearer to a point than `hit` to `inside`, and those nearer than `reach`
-    to what falls from `beside` to nothing, as the square of what is left of the way."""
+    """Raises the cells [X, Y] whose middles are nearer to a point than `hit` to `inside`, which is more than `beside`,
+    and those nearer than `reach` to what falls from that to nothing, as the square of what is left of the way."""
+    per_m, hit2 = 1.0 / (reach - hit), hit * hit
     first_i, last_i = max(int((x - reach - x0) / cell), 0), min(int((x + reach - x0) / cell) + 1, grid.shape[0])
     first_j, last_j = max(int((y - reach - y0) / cell), 0), min(int((y + reach - y0) / cell) + 1, grid.shape[1])
     for i in range(first_i, last_i):
-        off_x = x0 + (i + 0.5) * cell - x
-        for j in range(first_j, last_j):
-            off_y = y0 + (j + 0.5) * cell - y
+        off_x, row = x0 + (i + 0.5) * cell - x, grid[i, first_j:]
+        for n in range(last_j - first_j):  # without branches: a loop of vectors
+            off_y = y0 + (first_j + n + 0.5) * cell - y
             square = off_x * off_x + off_y * off_y
-            if square < hit * hit:
-                grid[i, j] = inside
-            elif square < reach * reach:
-                left = (reach - math.sqrt(square)) / (reach - hit)
-                grid[i, j] = max(grid[i, j], beside * left * left)
+            left = max(reach - math.sqrt(square), 0.0) * per_m
+            row[n] = max(row[n], inside if square < hit2 else beside * left * left)
 
 
 @inner

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from densecavoid.frames import COMMAND_GRID
 from densecavoid.networks.config_json import from_dict
 from densecavoid.networks.torch_files import build, read_tensors, save_tensors, to_onnx, write_onnx
 from densecavoid.policy.card import PolicyCard
@@ -80,23 +81,36 @@ class _Mean(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, lidar: Tensor, camera: Tensor, goal: Tensor, velocity: Tensor, prediction: Tensor) -> Tensor:
-        return self.network.mean(ObservationTensors(lidar, camera, goal, velocity, prediction))
+    def forward(
+        self,
+        lidar: Tensor,
+        camera: Tensor,
+        goal: Tensor,
+        velocity: Tensor,
+        prediction: Tensor,
+        worth: Tensor | None = None,
+    ) -> Tensor:
+        worth = goal.new_zeros(0) if worth is None else worth
+        return self.network.mean(ObservationTensors(lidar, camera, goal, velocity, prediction, worth))
 
 
 def export_onnx(path: Path, network: ActorCritic, card: PolicyCard) -> None:
-    """Writes one graph: the five arrays of an observation, any batch size, to `mean` [B, 2] (v m/s, w rad/s).
+    """Writes one graph: the arrays of an observation, any batch size, to `mean` [B, 2] (v m/s, w rad/s). What commands
+    are worth is among them where the network looks at it.
 
     The branches are exported in float32 and as convolutions, whatever they were trained as.
     """
     module = _Mean(copy.deepcopy(network).cpu().eval())
     module.network.set_compute_dtype(torch.float32)
     module.network.set_patch_products(False)
-    example = tuple(_example_observation(network.config, batch=2))
-    write_onnx(path, to_onnx(module, example, ObservationTensors._fields, ["mean"]), card.to_metadata())
+    example = _example_observation(network.config, batch=2)._asdict()
+    if network.config.worth_features == 0:
+        del example["worth"]
+    write_onnx(path, to_onnx(module, tuple(example.values()), tuple(example), ["mean"]), card.to_metadata())
 
 
 def _example_observation(config: NetworkConfig, batch: int) -> ObservationTensors:
     height, width = config.image_size
     ranges, image = torch.ones(batch, config.num_scans, config.num_rays), torch.zeros(batch, height, width).byte()
-    return ObservationTensors(ranges, image, torch.zeros(batch, 2), torch.zeros(batch, 2), image.clone())
+    worth = torch.zeros(batch, len(COMMAND_GRID))
+    return ObservationTensors(ranges, image, torch.zeros(batch, 2), torch.zeros(batch, 2), image.clone(), worth)

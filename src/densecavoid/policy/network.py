@@ -6,7 +6,8 @@ small; scaling to order one happens inside and therefore also inside every expor
 
 - camera / 255 (nearness), (255 - prediction) / 255 (a person is 1, an empty frame is all 0),
 - goal distance / 5 m, at most 2 (10 m: farther than anything is seen); goal bearing in radians as it is,
-- velocities as fractions of the robot's limits.
+- velocities as fractions of the robot's limits,
+- what commands are worth as it is, and as exp(-loss / scale) of the loss against the best on several scales.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from densecavoid.frames import PERSON_NUMBERS, require
 from densecavoid.policy.moments import RunningMoments
 from densecavoid.policy.network_config import (
     PRESETS,
+    WORTH_SCALES,
     ConvConfig,
     NetworkConfig,
     count_mflop,
@@ -60,6 +62,7 @@ class ObservationTensors(NamedTuple):
     goal: Float32[Tensor, "B 2"]
     velocity: Float32[Tensor, "B 2"]
     prediction: UInt8[Tensor, "B height width"]
+    worth: Float32[Tensor, "B commands"]
 
 
 class PolicyOutput(NamedTuple):
@@ -89,7 +92,9 @@ class Encoder(nn.Module):
         camera_places = config.camera_layers[-1].filters * math.prod(camera_sizes[-1]) if config.camera_layers else 0
         self.camera_linears = _linears(camera_places, config.camera_features)
         self.sees_camera = len(config.camera_layers) > 0
-        self.num_features = sum([*config.lidar_features[-1:], *config.camera_features[-1:], config.num_state_features])
+        self.worth_linear = _linears(config.num_worth_inputs, (config.worth_features,) if config.worth_features else ())
+        features = [*config.lidar_features[-1:], *config.camera_features[-1:], config.worth_features]
+        self.num_features = sum(features) + config.num_state_features
         self.patch_products = True
         self.compute_dtype = torch.float32
         self._lidar_is_patches = all(layer.is_patch for layer in config.lidar_layers)
@@ -109,7 +114,13 @@ class Encoder(nn.Module):
         branches = [self._lidar(ranges).float()]
         if self.sees_camera:
             branches.append(self._camera(observation.camera, observation.prediction).float())
+        if len(self.worth_linear) > 0:
+            branches.append(self._worth(observation.worth))
         return torch.cat([*branches, state], dim=1)
+
+    def _worth(self, worth: Tensor) -> Tensor:
+        behind = worth - worth.amax(dim=1, keepdim=True)
+        return _feed(torch.cat([worth, *((behind / scale).exp() for scale in WORTH_SCALES)], dim=1), self.worth_linear)
 
     def _lidar(self, ranges: Tensor) -> Tensor:
         x = ranges.to(self.compute_dtype)

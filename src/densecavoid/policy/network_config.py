@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from densecavoid.frames import NUM_SCANS, PERSON_NUMBERS, choose, require
+from densecavoid.frames import COMMAND_GRID, NUM_SCANS, PERSON_NUMBERS, choose, require
+
+WORTH_SCALES = (0.004, 0.03, 0.2)
+"""Losses against the best command that are told apart: a moment's delay, some seconds', a collision."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,9 @@ class NetworkConfig:
     """Whether actor and critic read the same branches (one pass) or each has its own."""
     num_scans: int = NUM_SCANS
     """Scans in an observation: consecutive ones, and those that foretell people (`ObserverConfig.foretold_s`)."""
+    worth_features: int = 0
+    """Size of the fully connected layer behind what commands are worth (`ObserverConfig.weighs_commands`); 0: it is
+    not looked at."""
     num_rays: int = 512
     image_size: tuple[int, int] = (60, 80)
     """Height and width of depth image and prediction frame, pixels."""
@@ -104,6 +110,7 @@ class NetworkConfig:
         for name in ("num_rays", "head_features", "state_gain", "max_linear_velocity", "max_angular_velocity"):
             require(getattr(self, name) > 0, f"NetworkConfig.{name}", getattr(self, name), "positive")
         require(self.num_scans >= NUM_SCANS, "NetworkConfig.num_scans", self.num_scans, f"at least {NUM_SCANS}")
+        require(self.worth_features >= 0, "NetworkConfig.worth_features", self.worth_features, "0 or more")
         for name in ("num_people", "people_features"):
             require(getattr(self, name) > 0, f"NetworkConfig.{name}", getattr(self, name), "positive")
         choose("NetworkConfig.people", self.people, ("unseen", "critic", "actor"))
@@ -136,6 +143,11 @@ class NetworkConfig:
     def num_state_features(self) -> int:
         """Goal and velocity."""
         return self.num_goal_features + 2
+
+    @property
+    def num_worth_inputs(self) -> int:
+        """The worth of each command, and how far behind the best it is on each of `WORTH_SCALES`."""
+        return (1 + len(WORTH_SCALES)) * len(COMMAND_GRID)
 
     @property
     def privileged(self) -> bool:
@@ -216,6 +228,9 @@ def count_mflop(config: NetworkConfig) -> float:
             operations += 2 * inputs * outputs
             inputs = outputs
         joined += inputs
+    if config.worth_features:
+        operations += 2 * config.num_worth_inputs * config.worth_features
+        joined += config.worth_features
     if config.people == "actor":
         width = config.people_features
         operations += 2 * config.num_people * width * (PERSON_NUMBERS + width)

@@ -17,7 +17,9 @@ _TYPES = {
     "goal": ("tensor(float)", np.float32),
     "velocity": ("tensor(float)", np.float32),
     "prediction": ("tensor(uint8)", np.uint8),
+    "worth": ("tensor(float)", np.float32),
 }
+_NEED_NOT_SEE = "worth"
 
 
 POLICIES = Shelf("policy", "densecavoid.policy")
@@ -43,6 +45,11 @@ class OnnxPolicy:
         self.card = PolicyCard.from_metadata(opened.metadata, f"the file of policy {str(name_or_path)!r}")
         self._shapes = self._check_graph(str(name_or_path))
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The parts of an observation that it looks at."""
+        return tuple(self._shapes)
+
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "B 2"]:
         """Mean command (v m/s, w rad/s) for each row.
 
@@ -51,8 +58,8 @@ class OnnxPolicy:
         """
         feed = {}
         batch = observation.lidar.shape[0]
-        for name, array in zip(Observation._fields, observation, strict=True):
-            expected = (batch, *self._shapes[name])
+        for name, shape in self._shapes.items():
+            array, expected = getattr(observation, name), (batch, *shape)
             if array.shape != expected:
                 raise ValueError(
                     f"observation.{name} has shape {array.shape}, expected {expected} for {self.card.name!r}"
@@ -62,12 +69,12 @@ class OnnxPolicy:
 
     def _check_graph(self, source: str) -> dict[str, tuple[int, ...]]:
         inputs = {node.name: node for node in self._session.get_inputs()}
-        if set(inputs) != set(_TYPES):
+        if set(inputs) | {_NEED_NOT_SEE} != set(_TYPES):
             raise ValueError(f"{source} has the inputs {sorted(inputs)}, expected {sorted(_TYPES)}")
-        for name, (kind, _) in _TYPES.items():
-            if inputs[name].type != kind:
-                raise ValueError(f"{source}: input {name} is a {inputs[name].type}, expected a {kind}")
-            shape = inputs[name].shape
+        for name, node in inputs.items():
+            kind, shape = _TYPES[name][0], node.shape
+            if node.type != kind:
+                raise ValueError(f"{source}: input {name} is a {node.type}, expected a {kind}")
             if len(shape) == 0:
                 raise ValueError(f"{source}: input {name} is a single number, expected rows of them")
             if not isinstance(shape[0], str):

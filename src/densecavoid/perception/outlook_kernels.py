@@ -1,0 +1,348 @@
+"""Dynamic programming over place, heading and the next seconds in the robot's frame: the loops of `outlook`.
+
+The window lies ahead of the robot: it cannot reverse, so that within the horizon little behind it can be reached.
+Values are those of `foresight.value_field`: 1 at the goal, a little less for each moment until then.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from densecavoid.perception.ways import raise_around
+from densecavoid.sim._jit import inner, kernel
+from densecavoid.sim.robot import drive
+
+_TAKEN = np.float32(1e3)
+_SIDE_BY_SIDE = 8  # worlds that are reckoned together: then loops are long enough, and values not yet out of the cache
+_TURNED_ROUND = 0.6  # share of the time to turn on the spot that heading elsewhere costs: robots drive on as they turn
+
+
+class Rules(NamedTuple):
+    """`OutlookConfig` and the robot as the kernels read them."""
+
+    cell_m: float
+    moments: int
+    hold_s: float
+    discount: float  # of a moment
+    slip: float
+    collision: float
+    body_m: float
+    margin_m: float
+    near_person_m: float
+    near_person_cost: float
+    near_thing_m: float
+    near_thing_slower: float
+    beyond_slower: float
+    doubt_m_s: float
+    goal_m: float
+    way_cell_m: float  # of the grid of ways
+    max_linear: float
+    max_angular: float
+
+
+class Around(NamedTuple):
+    """What is known around each robot, in its frame."""
+
+    goal: np.ndarray  # f64 [B, 2]
+    points: np.ndarray  # f32 [B, N, 2] of what stands,
+    num_points: np.ndarray  # i64 [B] so many
+    pos: np.ndarray  # f64 [B, P, 2] people,
+    vel: np.ndarray  # f64 [B, P, 2] over ground,
+    radius: np.ndarray  # f64 [B, P],
+    there: np.ndarray  # bool [B, P] if they are
+    way: np.ndarray  # f32 [B, C, C] length of the way to the goal (m), from the cells of a square grid
+    way_from: np.ndarray  # f64 [B, 3] pose of the robot in that grid, whose middle is (0, 0)
+
+
+class Lattice(NamedTuple):
+    """Places and headings that the robot is reckoned in, counted from where it is, and how it comes from one to
+    another. Along x and y cells, whose middles are at (x0, y0) + (i + .5, j + .5) cell."""
+
+    x0: float
+    y0: float
+    offsets: np.ndarray  # i64 [H, C, 3] cells along x and y that a held command leads to from each heading, the heading
+    weights: np.ndarray  # f32 [H, C, 4] of that cell and of its neighbours ahead
+    size_y: int  # cells along y
+    boxes: np.ndarray  # i64 [M + 1, 4] first and last (excluded) cells along x, and along y, of all headings
+    spans: np.ndarray  # i32 [M + 1, H, X, 2] first and last (excluded) cells along y that it can be in after a moment
+
+
+@inner
+def _mark_span(spans, k, h, i, first_j, last_j):
+    span = spans[k, h, i]
+    if span[0] >= span[1]:
+        span[0], span[1] = first_j, last_j
+    else:
+        span[0], span[1] = min(span[0], first_j), max(span[1], last_j)
+
+
+@kernel
+def find_spans(spans, offsets, firsts):
+    """Which cells values are asked for, after each moment: those that the robot can get to and their neighbours,
+    between which values are interpolated, and what lies between them along y.
+
+    Args:
+        spans: i32 [M + 1, H, X, 2], zeros; written, as in `Lattice`. Moment 0 stays empty.
+        offsets: as in `Lattice`.
+        firsts: i64 [K, 3] heading, and cells along x and y, of the cells that the first commands lead to.
+    """
+    for n in range(firsts.shape[0]):
+        h, i, j = firsts[n, 0], firsts[n, 1], firsts[n, 2]
+        for ahead in range(2):
+            _mark_span(spans, 1, h, i + ahead, j, j + 2)
+    for k in range(1, spans.shape[0] - 1):
+        for h in range(spans.shape[1]):
+            for i in range(spans.shape[2]):
+                first_j, last_j = spans[k, h, i]
+                if first_j >= last_j:
+                    continue
+                for c in range(offsets.shape[1]):
+                    at_i, off_j, later = i + offsets[h, c, 0], offsets[h, c, 1], offsets[h, c, 2]
+                    for ahead in range(2):
+                        _mark_span(spans, k + 1, later, at_i + ahead, first_j + off_j, last_j + off_j + 1)
+
+
+@inner
+def _end_of_ways(worth, ahead, ground, around, b, lattice, rules, one, many):
+    """What it is worth to be in a cell when the horizon ends, by the way that is left, and which heading leads on.
+
+    Args:
+        worth, ahead: f32, i32 [X, Y * many], written: heading -1 where it does not matter.
+        ground: f32 [X, Y] cost of being in a cell.
+        one, many: which of how many worlds it is.
+    """
+    headings, way = lattice.spans.shape[1], around.way[b]
+    cells, cell, at = way.shape[0], rules.way_cell_m, around.way_from[b]
+    corner = -0.5 * cells * cell
+    cos, sin = math.cos(at[2]), math.sin(at[2])
+    per_s = rules.beyond_slower * math.log(rules.discount) / rules.hold_s
+    first_i, last_i, first_j, last_j = lattice.boxes[rules.moments]
+    for i in range(first_i, last_i):
+        for j in range(first_j, last_j):
+            x, y = lattice.x0 + (i + 0.5) * rules.cell_m, lattice.y0 + (j + 0.5) * rules.cell_m
+            off_x, off_y = x - around.goal[b, 0], y - around.goal[b, 1]
+            n = j * many + one
+            ahead[i, n] = -1
+            if off_x * off_x + off_y * off_y < rules.goal_m * rules.goal_m:
+                worth[i, n] = np.float32(1.0)
+            elif ground[i, j] >= _TAKEN:
+                worth[i, n] = np.float32(rules.collision)
+            else:
+                u = (at[0] + cos * x - sin * y - corner) / cell - 0.5
+                v = (at[1] + sin * x + cos * y - corner) / cell - 0.5
+                at_i, at_j = min(max(int(u), 0), cells - 2), min(max(int(v), 0), cells - 2)
+                u, v = u - at_i, v - at_j
+                near, far = way[at_i], way[at_i + 1]
+                length = (1.0 - u) * ((1.0 - v) * near[at_j] + v * near[at_j + 1])
+                length += u * ((1.0 - v) * far[at_j] + v * far[at_j + 1])
+                towards_x = (1.0 - v) * (near[at_j] - far[at_j]) + v * (near[at_j + 1] - far[at_j + 1])
+                towards_y = (1.0 - u) * (near[at_j] - near[at_j + 1]) + u * (far[at_j] - far[at_j + 1])
+                worth[i, n] = np.float32(math.exp(per_s * length / rules.max_linear))
+                ahead[i, n] = round((math.atan2(towards_y, towards_x) - at[2]) / (2.0 * math.pi) * headings) % headings
+
+
+@inner
+def _begin_at_the_end(values, worth, ahead, fade, lattice, rules, many):
+    """Values [H, X, Y * many] when the horizon ends: from `_end_of_ways` and the turn that is left.
+
+    Args:
+        fade: f32 [H] room to work.
+    """
+    headings, spans = values.shape[0], lattice.spans[rules.moments]
+    per_s = rules.beyond_slower * math.log(rules.discount) / rules.hold_s
+    for h in range(headings):
+        off = min(h, headings - h) * 2.0 * math.pi / headings
+        fade[h] = math.exp(per_s * _TURNED_ROUND * off / rules.max_angular)
+    for h in range(headings):
+        for i in range(values.shape[1]):
+            for n in range(spans[h, i, 0] * many, spans[h, i, 1] * many):
+                off = h - ahead[i, n]
+                off += headings if off < 0 else 0
+                values[h, i, n] = worth[i, n] if ahead[i, n] < 0 else worth[i, n] * fade[off]
+
+
+@kernel
+def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, lattice, rules, many):
+    """Values [H, X, Y * many] after moment k, in the cells and headings that can be reached by then.
+
+    Args:
+        following: a moment later.
+        best, total: f32 [Y * many] room to work.
+        cost: f32 [X, Y * many] of being in a cell then.
+        kept: f32 [X, Y * many] what is left of a cell's value because things are near.
+        is_goal: bool [X, Y * many].
+        many: worlds side by side.
+    """
+    commands = lattice.offsets.shape[1]
+    meant = np.float32(rules.discount * (1.0 - rules.slip))
+    spread = np.float32(rules.discount * rules.slip / commands)
+    collision = np.float32(rules.collision)
+    for h in range(now.shape[0]):
+        for i in range(now.shape[1]):
+            first, size = lattice.spans[k, h, i, 0] * many, lattice.spans[k, h, i, 1] * many
+            size -= first
+            if size <= 0:
+                continue
+            for n in range(size):
+                best[n] = np.float32(-2.0)
+                total[n] = np.float32(0.0)
+            for c in range(commands):
+                at_i, at_n = i + lattice.offsets[h, c, 0], first + lattice.offsets[h, c, 1] * many
+                later = following[lattice.offsets[h, c, 2]]
+                w00, w01 = lattice.weights[h, c, 0], lattice.weights[h, c, 1]
+                w10, w11 = lattice.weights[h, c, 2], lattice.weights[h, c, 3]
+                # Slices that begin at 0: the loop over them is one of vectors.
+                near, on = later[at_i, at_n:], at_n + many
+                if w00 == np.float32(1.0):  # on the spot
+                    for n in range(size):
+                        value = near[n]
+                        best[n] = max(best[n], value)
+                        total[n] += value
+                else:
+                    near_on, far, far_on = later[at_i, on:], later[at_i + 1, at_n:], later[at_i + 1, on:]
+                    for n in range(size):
+                        value = w00 * near[n] + w01 * near_on[n] + w10 * far[n] + w11 * far_on[n]
+                        best[n] = max(best[n], value)
+                        total[n] += value
+            row, row_cost, row_goal = now[h, i, first:], cost[i, first:], is_goal[i, first:]
+            row_kept = kept[i, first:]
+            for n in range(size):
+                value = (meant * best[n] + spread * total[n]) * row_kept[n] - row_cost[n]
+                value = collision if row_cost[n] >= _TAKEN else value
+                row[n] = np.float32(1.0) if row_goal[n] else value
+
+
+@inner
+def _too_near(x, y, time_s, b, around, rules):
+    """What it costs to be at a place then: up to what a collision does, from a tenth of a metre beyond one."""
+    worst = 0.0
+    for p in range(around.there.shape[1]):
+        if around.there[b, p]:
+            off_x = around.pos[b, p, 0] + time_s * around.vel[b, p, 0] - x
+            off_y = around.pos[b, p, 1] + time_s * around.vel[b, p, 1] - y
+            free = math.sqrt(off_x * off_x + off_y * off_y) - around.radius[b, p] - rules.body_m
+            worst = max(worst, 1.0 - free / 0.1)
+    return -rules.collision * min(worst, 1.0)
+
+
+@inner
+def _mark_ground(ground, kept, is_goal, around, b, lattice, rules):
+    """Writes, for one world, which cells [X, Y] are taken for good, what is left of a value beside things, and the
+    goal.
+
+    Args:
+        ground: f32, rows of which lie in one piece; `kept` and `is_goal` need not.
+    """
+    x0, y0, cell = lattice.x0, lattice.y0, rules.cell_m
+    hit = rules.body_m + rules.margin_m
+    for i in range(ground.shape[0]):
+        for j in range(ground.shape[1]):
+            off_x = x0 + (i + 0.5) * cell - around.goal[b, 0]
+            off_y = y0 + (j + 0.5) * cell - around.goal[b, 1]
+            is_goal[i, j] = off_x * off_x + off_y * off_y < rules.goal_m * rules.goal_m
+            kept[i, j], ground[i, j] = 1.0, 0.0
+    for n in range(around.num_points[b]):
+        x, y = around.points[b, n, 0], around.points[b, n, 1]
+        raise_around(ground, x, y, hit, hit + rules.near_thing_m, _TAKEN, rules.near_thing_slower, x0, y0, cell)
+    for i in range(ground.shape[0]):
+        for j in range(ground.shape[1]):
+            if 0.0 < ground[i, j] < _TAKEN:
+                kept[i, j] = math.exp(math.log(rules.discount) * ground[i, j])
+                ground[i, j] = 0.0
+
+
+@inner
+def _mark_moment(cost, scratch, ground, k, around, b, lattice, rules):
+    """Writes what it costs in one world to be in each cell [X, Y] after a moment, where the robot can be then.
+
+    Args:
+        scratch: f32 [X, Y] room to work.
+        ground: f32 [X, Y] cells that are taken for good.
+    """
+    first_i, last_i, first_j, last_j = lattice.boxes[k]
+    box, time_s = scratch[first_i:last_i, first_j:last_j], k * rules.hold_s
+    for i in range(box.shape[0]):
+        for j in range(box.shape[1]):
+            box[i, j] = ground[first_i + i, first_j + j]
+    at = lattice.x0 + first_i * rules.cell_m, lattice.y0 + first_j * rules.cell_m, rules.cell_m
+    for p in range(around.there.shape[1]):
+        if around.there[b, p]:
+            x = around.pos[b, p, 0] + time_s * around.vel[b, p, 0]
+            y = around.pos[b, p, 1] + time_s * around.vel[b, p, 1]
+            reach = around.radius[b, p] + rules.body_m + rules.margin_m
+            beside = reach + rules.near_person_m + rules.doubt_m_s * time_s
+            raise_around(box, x, y, reach, beside, _TAKEN, rules.near_person_cost, *at)
+    for i in range(box.shape[0]):
+        for j in range(box.shape[1]):
+            cost[first_i + i, first_j + j] = box[i, j]
+
+
+@inner
+def _weigh(out, following, around, b, lattice, commands, rules, pose, one, many):
+    """What holding each command for a moment leads to, of the values after it."""
+    headings, cell = following.shape[0], rules.cell_m
+    for c in range(commands.shape[0]):
+        pose[0] = pose[1] = pose[2] = 0.0
+        lost = 0.0
+        for half in range(1, 3):
+            drive(pose, commands[c, 0], commands[c, 1], 0.5 * rules.hold_s)
+            lost = max(lost, _too_near(pose[0], pose[1], 0.5 * half * rules.hold_s, b, around, rules))
+        u, v = (pose[0] - lattice.x0) / cell - 0.5, (pose[1] - lattice.y0) / cell - 0.5
+        i, j, turn = int(u), int(v), pose[2] / (2.0 * math.pi) * headings
+        u, v, h, n = u - i, v - j, math.floor(turn), j * many + one
+        value = 0.0
+        for turned in range(2):
+            share, later = turn - h if turned else 1.0 - turn + h, following[(h + turned) % headings]
+            value += share * (1.0 - u) * ((1.0 - v) * later[i, n] + v * later[i, n + many])
+            value += share * u * ((1.0 - v) * later[i + 1, n] + v * later[i + 1, n + many])
+        out[b, c] = value - lost
+
+
+@kernel
+def worth_of_commands(first, last, which, around, lattice, commands, rules, out):
+    """What it is worth to hold each command for a moment, and then to do the best that can be foreseen.
+
+    Args:
+        which: bool [B] worlds.
+        around: an `Around`.
+        lattice: a `Lattice`.
+        commands: f64 [K, 2] m/s, rad/s.
+        rules: a `Rules`.
+        out: f32 [B, K], written.
+    """
+    headings, size_x, size_y = lattice.spans.shape[1], lattice.spans.shape[2], lattice.size_y
+    together = np.empty(_SIDE_BY_SIDE, np.int64)
+    pose = np.zeros(3)
+    at = first
+    while at < last:
+        many = 0
+        while at < last and many < _SIDE_BY_SIDE:
+            if which[at]:
+                together[many] = at
+                many += 1
+            at += 1
+        if many == 0:
+            break
+        shape = size_x, size_y * many
+        following = np.zeros((headings, *shape), np.float32)
+        now = np.zeros((headings, *shape), np.float32)
+        ground, scratch = np.empty((many, size_x, size_y), np.float32), np.empty((size_x, size_y), np.float32)
+        kept, cost = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        worth, ahead, is_goal = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty(shape, np.bool_)
+        best, total = np.empty(shape[1], np.float32), np.empty(shape[1], np.float32)
+        fade = np.empty(headings, np.float32)
+        for n in range(many):
+            b = together[n]
+            _mark_ground(ground[n], kept[:, n::many], is_goal[:, n::many], around, b, lattice, rules)
+            _end_of_ways(worth, ahead, ground[n], around, b, lattice, rules, n, many)
+        _begin_at_the_end(following, worth, ahead, fade, lattice, rules, many)
+        for k in range(rules.moments - 1, 0, -1):
+            for n in range(many):
+                _mark_moment(cost[:, n::many], scratch, ground[n], k, around, together[n], lattice, rules)
+            _one_moment_before(now, following, best, total, cost, kept, is_goal, k, lattice, rules, many)
+            following, now = now, following
+        for n in range(many):
+            _weigh(out, following, around, together[n], lattice, commands, rules, pose, n, many)
