@@ -5,7 +5,7 @@ The same observer serves training, benchmark and robot; it keeps one memory for 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool
@@ -28,6 +28,8 @@ from densecavoid.sim._jit import for_worlds, kernel, threads_for
 class ObserverConfig(PerceptionConfig):
     """What the policy gets to see: the sensors as they are, and people as they are perceived."""
 
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    """Whose height says what is in its way, and whose limits what it can do."""
     remembers: bool = False
     """Whether the oldest of the three scans gives way to things that the camera saw before (`ThingsRemembered`)."""
     foretold_s: tuple[float, ...] = ()
@@ -99,13 +101,14 @@ class Observer:
         self.privileged = config.privileged
         self.people = PeoplePipeline(config, num_worlds, networks=networks)
         """Who is seen, followed and foreseen."""
+        sensors = config.lidar, config.camera
         self._things = (
-            ThingsRemembered(config.lidar, config.camera, num_worlds, config.threads) if config.remembers else None
+            ThingsRemembered(*sensors, num_worlds, config.threads, config.robot) if config.remembers else None
         )
         every = max(1, round(config.route_every_s / config.control_dt_s))
-        sensors = config.lidar, config.camera
-        self._route = Route(*sensors, every, num_worlds, config.threads) if config.route_every_s > 0 else None
-        self._outlook = Outlook(OBSERVED, RobotConfig(), config.threads) if config.weighs_commands else None
+        of_route = *sensors, every, num_worlds, config.threads, config.robot
+        self._route = Route(*of_route) if config.route_every_s > 0 else None
+        self._outlook = Outlook(OBSERVED, config.robot, config.threads) if config.weighs_commands else None
         self._worth = np.zeros((num_worlds, len(COMMAND_GRID)), np.float32)
         self._walking_on = make_predictor("constant-velocity")
         self._fresh = np.ones(num_worlds, np.bool_)

@@ -54,7 +54,9 @@ class NavigationTask:
             first_world: number of the first world, where these are a part of more worlds.
         """
         sim = sim or SimConfig()
-        observer = observer or ObserverConfig(sim.lidar, sim.camera, control_dt_s=sim.control_dt_s, threads=sim.threads)
+        observer = observer or ObserverConfig(
+            sim.lidar, sim.camera, control_dt_s=sim.control_dt_s, robot=sim.robot, threads=sim.threads
+        )
         require(observer.lidar == sim.lidar, "ObserverConfig.lidar", observer.lidar, f"the simulator's {sim.lidar}")
         require(
             observer.camera == sim.camera, "ObserverConfig.camera", observer.camera, f"the simulator's {sim.camera}"

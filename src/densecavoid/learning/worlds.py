@@ -22,6 +22,7 @@ def observer_config(config: TrainConfig) -> ObserverConfig:
         people_from=config.people_from if config.sensors == "densecavoid" else "nothing",
         horizons_s=(config.prediction_horizon_s,),
         control_dt_s=config.sim.control_dt_s,
+        robot=config.sim.robot,
         remembers=config.remembers,
         foretold_s=config.foretold_s,
         route_every_s=config.route_every_s,

@@ -100,10 +100,17 @@ def _remember(
 class ThingsRemembered:
     """One grid a world."""
 
-    def __init__(self, lidar: LidarConfig, camera: CameraConfig, num_worlds: int, threads: int) -> None:
+    def __init__(
+        self,
+        lidar: LidarConfig,
+        camera: CameraConfig,
+        num_worlds: int,
+        threads: int,
+        robot: RobotConfig = RobotConfig(),
+    ) -> None:
         self._view: CameraView = camera_view(camera)
         self._depth_limits = float(camera.min_range_m), float(camera.max_range_m)
-        self._heights = LOWEST_M, RobotConfig().height_m
+        self._heights = LOWEST_M, float(robot.height_m)
         self._scan_shape = float(lidar.fov_rad), float(lidar.max_range_m), float(lidar.mount_x_m)
         self._threads = threads
         self._counts = np.zeros((num_worlds, CELLS, CELLS), np.uint8)

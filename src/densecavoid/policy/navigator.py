@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import Command, Observation, SensorFrame
+from densecavoid.frames import Command, Observation, RobotConfig, SensorFrame
 from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.config import PeopleFrom
 from densecavoid.perception.networks import PeopleNetworks
@@ -46,6 +46,7 @@ class PolicyNavigator:
         seed: int = 0,
         num_worlds: int = 1,
         networks: PeopleNetworks = PeopleNetworks(),
+        robot: RobotConfig | None = None,
     ) -> None:
         """
         Args:
@@ -56,16 +57,28 @@ class PolicyNavigator:
             seed: of the draws.
             num_worlds: batch size until the first `reset`.
             networks: who finds and foresees people.
+            robot: whom it drives; the robot of its training unless given. A policy that is told what commands are
+                worth (`ObserverConfig.weighs_commands`) is told it for this robot's limits, where they are lower, and
+                velocities mean the same shares of them. Other policies' commands are cut.
         """
         self.policy = policy
         uses_people = policy.card.sensors == "densecavoid"
         self.people_from: PeopleFrom = people_from if uses_people else "nothing"
         self.name = policy.card.name + (f":{people_from}" if uses_people and people_from != "detector" else "")
         self._observer_config = read_observer_config(policy.card.observation, self.people_from)
+        trained = np.array([policy.card.max_linear_velocity, policy.card.max_angular_velocity], np.float32)
+        self._limits, self._shares = trained, np.ones(2, np.float32)
+        if robot is not None:
+            of_robot = np.array([robot.max_linear_velocity, robot.max_angular_velocity], np.float32)
+            self._limits = np.minimum(of_robot, trained)
+            linear, angular = map(float, self._limits)
+            robot = dataclasses.replace(robot, max_linear_velocity=linear, max_angular_velocity=angular)
+            self._observer_config = dataclasses.replace(self._observer_config, robot=robot)
+            if self._observer_config.weighs_commands:
+                self._shares = self._limits / trained
         self._networks = networks
         self._observer = Observer(self._observer_config, num_worlds, networks)
         self._num_worlds = num_worlds
-        self._limits = np.array([policy.card.max_linear_velocity, policy.card.max_angular_velocity], np.float32)
         self.observation: Observation | None = None
         """What it acted on last, in buffers that the next act writes again."""
         self._std = np.exp(np.array(policy.card.log_std, np.float32)) if sample else None
@@ -109,8 +122,9 @@ class PolicyNavigator:
             raise ValueError(
                 f"the frame has {frame.num_worlds} worlds, expected {self._num_worlds} as in the last reset"
             )
-        observation = self.observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
-        command = self.policy(observation)
+        observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
+        observation = self.observation = observation._replace(velocity=observation.velocity / self._shares)
+        command = self.policy(observation) * self._shares
         if self._std is not None:
             command = command + self._std * self._rng.standard_normal(command.shape, dtype=np.float32)
         command = np.clip(command, [0.0, -self._limits[1]], self._limits).astype(np.float32)

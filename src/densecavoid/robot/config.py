@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import yaml
 
-from densecavoid.frames import choose, require
+from densecavoid.frames import RobotConfig, choose, require
 from densecavoid.networks.config_json import from_dict
 from densecavoid.robot.camera_mount import CameraMount
 from densecavoid.robot.messages import Mount
@@ -73,6 +73,12 @@ class RobotSettings:
         for name in ("min_lidar_share", "min_depth_share"):
             value = getattr(self, name)
             require(0 <= value <= 1, f"RobotSettings.{name}", value, "in [0, 1]")
+
+    @property
+    def robot(self) -> RobotConfig:
+        """Whom the policy drives, behind the filter."""
+        linear, angular = self.safety.max_linear_velocity, self.safety.max_angular_velocity
+        return RobotConfig(max_linear_velocity=linear, max_angular_velocity=angular)
 
 
 class _StrictLoader(yaml.SafeLoader):

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from densecavoid.frames import CameraConfig, LidarConfig, Observation, SensorFrame, into_robot_frame, seen_from
+from densecavoid.frames import (
+    CameraConfig,
+    LidarConfig,
+    Observation,
+    RobotConfig,
+    SensorFrame,
+    into_robot_frame,
+    seen_from,
+)
 from densecavoid.perception.legs import LegDetector, load_forest
 from densecavoid.perception.pipeline import expect_people
 from densecavoid.perception.prediction_frame import Expected
@@ -22,14 +30,18 @@ from densecavoid.safety import NOBODY, PeopleNear
 class FolderPilot:
     """The navigator of an exported folder, as a robot runs it: a batch of one, without ground truth."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, robot: RobotConfig | None = None) -> None:
         """Loads and checks the folder.
+
+        Args:
+            folder: as exported.
+            robot: whom it drives, as `PolicyNavigator`.
 
         Raises:
             ValueError, OSError: naming what is wrong with it.
         """
         opened = open_folder(folder)
-        self._navigator = PolicyNavigator(opened.policy, networks=opened.networks)
+        self._navigator = PolicyNavigator(opened.policy, networks=opened.networks, robot=robot)
         # Where the policy's observer tracks nobody, the filter still wants to know who walks where: legs in the scans.
         self._legs: LegDetector | None = None
         if self._navigator.observer_config.people_from == "nothing":

@@ -46,7 +46,7 @@ class NodeLoop:
         self._settings = replace(settings, use_tf=False, lidar_mount=mount, camera_mount=place)
         self._every = round(ratio)
         self._drivers = Drivers(lidar, camera)
-        self._pilot = FolderPilot(folder)
+        self._pilot = FolderPilot(folder, settings.robot)
         self.name = f"node:{self._pilot.name}"
         self.reset(np.ones(1, np.bool_))
 

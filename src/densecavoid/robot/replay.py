@@ -237,7 +237,8 @@ def replay(config: ReplayConfig, on_step: OnStep | None = None) -> ReplaySummary
     folder = config.folder or export_folder("densecavoid", config.out / "exported")[0]
     with Bag(config.bag) as bag, (config.out / "commands.jsonl").open("w") as lines:
         topics = bag.choose(Topics(scan=config.scan, depth=config.depth, odom=config.odom))
-        run = _Replay(FolderPilot(folder), _settings(config, topics), topics, config, lines, on_step)
+        settings = _settings(config, topics)
+        run = _Replay(FolderPilot(folder, settings.robot), settings, topics, config, lines, on_step)
         run.runtime.warm_up()
         try:
             if config.record:

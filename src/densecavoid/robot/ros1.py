@@ -57,7 +57,7 @@ class DenseCAvoidNode:
             ValueError, OSError: if folder or settings are wrong.
         """
         self.settings = load_settings(rospy.get_param("~robot", config.robot))
-        pilot = FolderPilot(Path(rospy.get_param("~folder", str(config.folder))))
+        pilot = FolderPilot(Path(rospy.get_param("~folder", str(config.folder))), self.settings.robot)
         self._runtime = RobotRuntime(pilot, self.settings, threaded=True)
         rospy.loginfo("loading and warming up")
         self._runtime.warm_up()

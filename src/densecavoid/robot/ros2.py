@@ -93,7 +93,7 @@ class DenseCAvoidNode(LifecycleNode):
         """Loads the folder, warms it up, and listens."""
         try:
             settings = load_settings(self.get_parameter("robot").value)
-            pilot = FolderPilot(Path(self.get_parameter("folder").value))
+            pilot = FolderPilot(Path(self.get_parameter("folder").value), settings.robot)
         except (ValueError, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
