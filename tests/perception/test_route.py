@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import Command, LidarConfig, SensorFrame
+from densecavoid.frames import COMMAND_GRID, Command, LidarConfig, Observation, RobotConfig, SensorFrame
 from densecavoid.sim.floorplan import FloorPlan
 from densecavoid.sim.people import STANDING, TRAVERSING
 from densecavoid.sim.spec import Crowd
@@ -118,7 +119,7 @@ def test_a_choice_lasts_until_another_way_is_clearly_shorter() -> None:
 
 
 def test_memory_goes_on_where_it_was_saved() -> None:
-    config = ObserverConfig(people_from="nothing", route_every_s=0.3, remembers=True, threads=1)
+    config = ObserverConfig(people_from="nothing", route_every_s=0.3, weighs_commands=True, remembers=True, threads=1)
     sees, again = Observer(config, 1), Observer(config, 1)
     poses = [(0.02 * k, 0.15 - 0.01 * k, 0.01 * k) for k in range(30)]
     for pose in poses[:17]:
@@ -126,7 +127,8 @@ def test_memory_goes_on_where_it_was_saved() -> None:
     again.load_state_dict(sees.state_dict())
     for pose in poses[17:]:
         frame = frame_of_wall(pose, (-1.0, 1.0))
-        assert (sees.observe(frame).goal == again.observe(frame).goal).all()
+        one, other = sees.observe(frame), again.observe(frame)
+        assert (one.goal == other.goal).all() and (one.worth == other.worth).all()
 
 
 def test_worlds_that_are_not_marked_keep_their_place() -> None:
@@ -167,6 +169,45 @@ def test_another_goal_is_shown_at_once() -> None:
     assert sees.observe(frame).goal[0] == pytest.approx([5.0, math.pi / 2], abs=0.05)
 
 
+def best_command(observation: Observation) -> tuple[float, float]:
+    share, turn = COMMAND_GRID[observation.worth[0].argmax()]
+    return float(share), float(turn)
+
+
+def test_commands_are_weighed_by_what_the_map_and_the_way_say() -> None:
+    """Straight where nothing is known, round a wall by the nearer end, and not at all where nobody asks."""
+    weighs = ObserverConfig(people_from="nothing", route_every_s=0.1, weighs_commands=True, threads=1)
+    open_way, wall = frame_of_wall((0.0, 0.1, 0.0), (9.0, 9.0)), frame_of_wall((1.0, 0.1, 0.0), (-1.0, 1.0))
+    assert best_command(Observer(weighs, 1).observe(open_way)) == (1.0, 0.0)
+    sees = Observer(weighs, 1)
+    for _ in range(2):
+        sees.observe(wall)
+    seen = sees.observe(wall)
+    assert best_command(seen)[1] == 1.0
+    assert seen.worth[0].min() >= -0.5 and seen.worth[0].max() < 1.0
+    assert not Observer(dataclasses.replace(weighs, weighs_commands=False), 1).observe(wall).worth.any()
+
+
+def test_a_slower_robot_is_told_what_its_own_commands_are_worth() -> None:
+    """The goal is farther off for it, in seconds; to drive there is worth less, and more than to stand."""
+    frame, worths = frame_of_wall((0.0, 0.0, 0.0), (9.0, 9.0)), []
+    for robot in (RobotConfig(), RobotConfig(max_linear_velocity=0.3)):
+        config = ObserverConfig(people_from="nothing", route_every_s=0.1, weighs_commands=True, robot=robot, threads=1)
+        worths.append(Observer(config, 1).observe(frame).worth[0].copy())
+    straight = [COMMAND_GRID.tolist().index([share, 0.0]) for share in (0.0, 1.0)]
+    fast, slow = (worth[straight] for worth in worths)
+    assert slow[0] < slow[1] < fast[1] - 0.2 and fast[0] < fast[1]
+
+
+def test_to_a_goal_that_is_no_place_nothing_is_worth_anything() -> None:
+    sees = Observer(ObserverConfig(people_from="nothing", route_every_s=0.1, weighs_commands=True, threads=1), 1)
+    frame = frame_of_wall((0.0, 0.0, 0.0), (9.0, 9.0))
+    frame.goal_odom[:] = np.nan
+    assert not sees.observe(frame).worth.any()
+
+
 def test_settings_that_make_no_sense_are_named() -> None:
     with pytest.raises(ValueError, match="route_every_s"):
         ObserverConfig(route_every_s=-1.0)
+    with pytest.raises(ValueError, match="weighs_commands"):
+        ObserverConfig(weighs_commands=True)

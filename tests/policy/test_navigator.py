@@ -12,7 +12,8 @@ torch = pytest.importorskip("torch")
 
 from densecavoid.benchmark.navigators import make_navigator  # noqa: E402
 from densecavoid.env.observation import Observer, ObserverConfig  # noqa: E402
-from densecavoid.frames import Navigator, SensorFrame  # noqa: E402
+from densecavoid.frames import Navigator, Observation, RobotConfig, SensorFrame  # noqa: E402
+from densecavoid.policy.card import PolicyCard  # noqa: E402
 from densecavoid.policy.export import describe, export_onnx  # noqa: E402
 from densecavoid.policy.navigator import PolicyNavigator, load_policy, read_observer_config  # noqa: E402
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors  # noqa: E402
@@ -90,6 +91,36 @@ def test_a_policy_without_the_prediction_frame_is_not_privileged(network: ActorC
     export_onnx(tmp_path / "d.onnx", network, describe(network, "d", sensors="depth-lidar"))
     for people_from in ("detector", "truth"):
         assert not load_policy(tmp_path / "d.onnx", people_from=people_from).privileged
+
+
+@dataclasses.dataclass
+class HalfSpeed:
+    """Wants half of what its robot can do, and keeps what it was shown."""
+
+    card: PolicyCard
+    shown: Observation | None = None
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        self.shown = observation
+        return np.tile(np.array([0.5, 0.4], np.float32), (len(observation.goal), 1))
+
+
+@pytest.mark.parametrize(("weighs", "command", "velocity"), [(True, (0.3, 0.4), 0.5), (False, (0.5, 0.4), 0.3)])
+def test_a_slower_robot_is_spoken_to_in_shares_of_what_it_can_do(
+    network: ActorCritic, weighs: bool, command: tuple[float, float], velocity: float
+) -> None:
+    """By a policy that weighs commands; another one's are cut."""
+    config = ObserverConfig(route_every_s=0.5, weighs_commands=weighs)
+    policy = HalfSpeed(describe(network, "half", observation=dataclasses.asdict(config)))
+    robot = RobotConfig(max_linear_velocity=0.6, max_angular_velocity=1.5)
+    navigator = PolicyNavigator(policy, robot=robot)
+    frame = dataclasses.replace(frames(1, 1)[0], velocity=np.array([[0.3, 0.1]], np.float32))
+    assert np.stack(navigator.act(frame), axis=1)[0] == pytest.approx(command)
+    assert policy.shown is not None and policy.shown.velocity[0] == pytest.approx((velocity, 0.1))
+    limits = navigator.observer_config.robot
+    assert (limits.max_linear_velocity, limits.max_angular_velocity) == pytest.approx((0.6, 0.4))
+    slow = PolicyNavigator(policy, robot=RobotConfig(max_linear_velocity=0.2))
+    assert np.stack(slow.act(frame), axis=1)[0, 0] == pytest.approx(0.1 if weighs else 0.2)
 
 
 def test_its_command_is_the_networks_mean_of_the_observers_observation(path: Path, network: ActorCritic) -> None:
