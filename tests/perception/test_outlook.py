@@ -168,6 +168,13 @@ def test_commands_are_worth_what_a_search_over_all_sequences_finds(seed: int) ->
         assert found[c] == pytest.approx(expected, abs=0.06), COMMAND_GRID[c]
 
 
+def test_who_has_far_to_go_weighs_commands_as_who_has_a_little_less_far() -> None:
+    people = np.array([[3.0, 0.2, -0.5, 0.0, 0.25]])
+    far, farther = (worth(OutlookConfig(), (goal_m, 0.0), people) for goal_m in (20.0, 1000.0))
+    np.testing.assert_allclose(farther, far, atol=0.005)
+    assert far.max() - far.min() > 0.05
+
+
 def test_who_comes_head_on_is_avoided_in_time() -> None:
     """Of two who come along the way, one a little to the left: the robot turns right, long before they meet."""
     found = worth(OutlookConfig(), (10.0, 0.0), np.array([[4.0, 0.1, -0.6, 0.0, 0.25], [4.5, 0.6, -0.6, 0.0, 0.25]]))

@@ -17,6 +17,7 @@ from densecavoid.sim.robot import drive
 
 _TAKEN = np.float32(1e3)
 _SIDE_BY_SIDE = 8  # worlds that are reckoned together: then loops are long enough, and values not yet out of the cache
+_FARTHEST_M = 20.0  # a longer way counts so much: discounted, nothing is worth anything to who has far to go
 _TURNED_ROUND = 0.6  # share of the time to turn on the spot that heading elsewhere costs: robots drive on as they turn
 
 
@@ -119,6 +120,9 @@ def _end_of_ways(worth, ahead, ground, around, b, lattice, rules, one, many):
     corner = -0.5 * cells * cell
     cos, sin = math.cos(at[2]), math.sin(at[2])
     per_s = rules.beyond_slower * math.log(rules.discount) / rules.hold_s
+    here_i = min(max(int((at[0] - corner) / cell), 0), cells - 1)
+    here_j = min(max(int((at[1] - corner) / cell), 0), cells - 1)
+    left_out = max(way[here_i, here_j] - _FARTHEST_M, 0.0)
     first_i, last_i, first_j, last_j = lattice.boxes[rules.moments]
     for i in range(first_i, last_i):
         for j in range(first_j, last_j):
@@ -140,6 +144,7 @@ def _end_of_ways(worth, ahead, ground, around, b, lattice, rules, one, many):
                 length += u * ((1.0 - v) * far[at_j] + v * far[at_j + 1])
                 towards_x = (1.0 - v) * (near[at_j] - far[at_j]) + v * (near[at_j + 1] - far[at_j + 1])
                 towards_y = (1.0 - u) * (near[at_j] - near[at_j + 1]) + u * (far[at_j] - far[at_j + 1])
+                length = max(length - left_out, 0.0)
                 worth[i, n] = np.float32(math.exp(per_s * length / rules.max_linear))
                 ahead[i, n] = round((math.atan2(towards_y, towards_x) - at[2]) / (2.0 * math.pi) * headings) % headings
 
