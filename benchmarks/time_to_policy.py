@@ -79,19 +79,10 @@ def variants() -> dict[str, Callable[[TrainConfig], TrainConfig]]:
         "strict-levels": curriculum(threshold=0.85),
         "more-worlds": lambda config: replace(config, num_envs=128, steps_per_rollout=32),
         "long-prediction": lambda config: replace(config, prediction_horizon_s=1.6),
-        # What made the policy that ships, but for its length (docs/training.md).
         "foresight": lambda config: replace(
             config,
-            num_envs=128,
-            steps_per_rollout=32,
-            remembers=True,
-            foretold_s=(0.1, 1.0, 2.0, 3.0, 4.0),
-            route_every_s=0.5,
-            weighs_commands=True,
-            normalise_values=True,
-            averaging=0.995,
-            foresight=ForesightConfig(steps=1_200_000),
-            ppo=replace(config.ppo, learning_rate=5e-5, target_kl=0.007, epochs=3, entropy_weight=0.0),
+            foresight=ForesightConfig(steps=1_500_000),
+            ppo=replace(config.ppo, learning_rate=1e-4),
         ),
         "wide-berth": lambda config: replace(config, reward=replace(config.reward, safe_distance_threshold_m=1.2)),
     }
