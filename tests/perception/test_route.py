@@ -202,8 +202,9 @@ def test_a_slower_robot_is_told_what_its_own_commands_are_worth() -> None:
 def test_to_a_goal_that_is_no_place_nothing_is_worth_anything() -> None:
     sees = Observer(ObserverConfig(people_from="nothing", route_every_s=0.1, weighs_commands=True, threads=1), 1)
     frame = frame_of_wall((0.0, 0.0, 0.0), (9.0, 9.0))
+    assert sees.observe(frame).worth.any()
     frame.goal_odom[:] = np.nan
-    assert not sees.observe(frame).worth.any()
+    assert not sees.observe(frame).worth.any(), "nor is it what it was before"
 
 
 def test_settings_that_make_no_sense_are_named() -> None:

@@ -106,7 +106,7 @@ def test_wrong_inputs_and_files_are_named(exported: tuple[ActorCritic, Path], tm
         policy(observation._replace(goal=observation.goal[:1]))
     with pytest.raises(ValueError, match=r"observation.lidar has shape \(2, 3, 100\), expected \(2, 3, 512\)"):
         policy(observation._replace(lidar=observation.lidar[:, :, :100].copy()))
-    if "worth" in policy.inputs:
+    if policy.card.network["worth_features"] > 0:
         with pytest.raises(ValueError, match=r"observation.worth has shape \(2, 24\), expected \(2, 25\)"):
             policy(observation._replace(worth=observation.worth[:, :24]))
     with pytest.raises(FileNotFoundError, match="no policy 'nobody': not a file"):

@@ -64,8 +64,9 @@ class Lookahead:
         """
         require(frame.num_worlds == len(self._worth), "worlds", frame.num_worlds, f"{len(self._worth)}")
         everywhere = np.ones(frame.num_worlds, np.bool_)
-        self._route.update(frame, self._people.see(frame), everywhere)
-        self._outlook.look(self._route.around, everywhere, self._worth)
+        people = self._people.see(frame)
+        self._route.update(frame, people, everywhere)
+        self._outlook.look(self._route.around(frame, people), everywhere, self._worth)
         chosen = self._outlook.commands[self._worth.argmax(axis=1)].astype(np.float32)
         return Command(chosen[:, 0], chosen[:, 1])
 

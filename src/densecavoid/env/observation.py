@@ -171,7 +171,8 @@ class Observer:
             people = people_of(self.tracks, frame, standing=True)
             distance, bearing = self._route.update(frame, people, which)
             if self._outlook is not None:
-                self._outlook.look(self._route.around, which & np.isfinite(distance), self._worth)
+                self._worth[which] = 0.0
+                self._outlook.look(self._route.around(frame, people), which & np.isfinite(distance), self._worth)
         return Observation(
             lidar=self._lidar,
             camera=self._camera,

@@ -42,6 +42,15 @@ def steps_of_commands(commands, headings, hold_s, cell):
     return steps
 
 
+def steps_of_moments(max_linear, max_angular, hold_s, cell):
+    """Where each of `SPEEDS` and `TURNS` leads a robot with these limits (m/s, rad/s) from each heading in a moment, as
+    `steps_of_commands`. A full turn is as many moments as there are headings, nearly: an even number of them."""
+    headings = 2 * max(2, round(math.pi / (max_angular * hold_s)))
+    turn = 2.0 * math.pi / headings
+    commands = [(v * max_linear, w * turn / hold_s, w) for v in SPEEDS for w in TURNS]
+    return steps_of_commands(np.array(commands), headings, hold_s, cell)
+
+
 @kernel
 def back_up(following, best, total, steps):
     """For all states, the best of the values that commands lead to, and their sum.

@@ -244,16 +244,11 @@ def _ground(
 
 
 def _steps(max_linear: float, max_angular: float, hold_s: float, cell: float) -> Float[np.ndarray, "H C 3"]:
-    """Where each command leads from each heading: cells along x and y, and the heading. A full turn of the robot is as
-    many moments as there are headings; an even number, because every second one is kept.
-    """
-    headings = 2 * max(2, round(math.pi / (max_angular * hold_s)))
-    turn = 2.0 * math.pi / headings
+    """`steps_of_moments`, whose headings are even in number because every second one is kept."""
     require(
         max_linear * hold_s < (kernels.FRAME - 1) * cell,
         "FieldConfig.hold_s",
         hold_s,
         f"shorter than {kernels.FRAME - 1} cells of {cell:.2f} m at {max_linear} m/s",
     )
-    commands = [(v * max_linear, w * turn / hold_s, w) for v in kernels.SPEEDS for w in kernels.TURNS]
-    return kernels.steps_of_commands(np.array(commands), headings, hold_s, cell)
+    return kernels.steps_of_moments(max_linear, max_angular, hold_s, cell)

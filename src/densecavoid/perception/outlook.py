@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from densecavoid.foresight.field_kernels import SPEEDS, TURNS, steps_of_commands
+from densecavoid.foresight.field_kernels import steps_of_commands, steps_of_moments
 from densecavoid.frames import COMMAND_GRID, RobotConfig, require
 from densecavoid.perception.outlook_kernels import Around, Lattice, Rules, find_spans, worth_of_commands
 from densecavoid.perception.rolling_grid import CELL_M
@@ -93,11 +93,9 @@ def make_lattice(
     horizon_s: float, hold_s: float, cell_m: float, max_linear: float, max_angular: float
 ) -> tuple[Lattice, Float64[np.ndarray, "K 2"]]:
     """Where a robot with these limits can be in the next moments, and the commands that it chooses among now."""
-    headings = 2 * max(2, round(math.pi / (max_angular * hold_s)))
     moments = round(horizon_s / hold_s)
-    turn = 2.0 * math.pi / headings
-    held = np.array([(v * max_linear, w * turn / hold_s, w) for v in SPEEDS for w in TURNS])
-    steps = steps_of_commands(held, headings, hold_s, cell_m)
+    steps = steps_of_moments(max_linear, max_angular, hold_s, cell_m)
+    headings = len(steps)
     cells = np.floor(steps[..., :2])
     u, v = np.moveaxis(steps[..., :2] - cells, -1, 0)
     weights = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=-1).astype(np.float32)
@@ -107,7 +105,7 @@ def make_lattice(
     commands = COMMAND_GRID * [max_linear, max_angular]
     after = steps_of_commands(np.column_stack([commands, np.zeros(len(commands))]), 1, hold_s, cell_m)[0]
     place = np.floor(after[:, :2] - 0.5).astype(np.int64) + half
-    turned = np.floor(commands[:, 1] * hold_s / turn).astype(np.int64)
+    turned = np.floor(commands[:, 1] * hold_s / (2.0 * math.pi) * headings).astype(np.int64)
     firsts = [(int(h + more) % headings, *at) for at, h in zip(place, turned, strict=True) for more in range(2)]
     spans = np.zeros((moments + 1, headings, 2 * half, 2), np.int32)
     find_spans(spans, offsets, np.array(firsts, np.int64))
@@ -135,7 +133,7 @@ class Outlook:
             robot: whose limits count.
             threads: over the worlds; 0 takes all cores.
         """
-        self.config, self._threads = config, threads
+        self._threads = threads
         limits = float(robot.max_linear_velocity), float(robot.max_angular_velocity)
         self._lattice, self.commands = make_lattice(config.horizon_s, config.hold_s, config.cell_m, *limits)
         self._rules = Rules(

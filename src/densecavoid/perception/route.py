@@ -20,7 +20,6 @@ from densecavoid.frames import (
     RobotConfig,
     SensorFrame,
     goal_polar,
-    require,
     seen_from,
     wrap_angle,
 )
@@ -223,7 +222,6 @@ class Route:
         self._goal: Float[np.ndarray, "B 2"] = np.zeros((num_worlds, 2))
         self._ways: Float32[np.ndarray, "B C C"] = np.zeros((num_worlds, CELLS, CELLS), np.float32)
         self._ways_from: Float[np.ndarray, "B 3"] = np.zeros((num_worlds, 3))
-        self._around: Around | None = None
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets what was seen in the marked worlds."""
@@ -275,19 +273,13 @@ class Route:
             self._ways,
             self._ways_from,
         )
-        self._around = self._what_is_around(frame, goal, people)
         distance, _ = goal_polar(frame.odom_pose, frame.goal_odom)
         to_place, bearing = goal_polar(frame.odom_pose, self._places)
         return np.maximum(distance, to_place), bearing
 
-    @property
-    def around(self) -> Around:
-        """What the way was looked for in, as of the last update."""
-        require(self._around is not None, "Route.around", None, "an update before")
-        assert self._around is not None
-        return self._around
-
-    def _what_is_around(self, frame: SensorFrame, goal: Float[np.ndarray, "B 2"], people: People) -> Around:
+    def around(self, frame: SensorFrame, people: People) -> Around:
+        """What the way was looked for in, after an update with the same frame and people."""
+        goal = seen_from(frame.odom_pose, frame.goal_odom[:, None])[:, 0]
         moved = seen_from(self._ways_from, frame.odom_pose[:, None, :2])[:, 0]
         turned = wrap_angle(frame.odom_pose[:, 2] - self._ways_from[:, 2])
         way_from = np.column_stack([moved, turned])

@@ -45,11 +45,6 @@ class OnnxPolicy:
         self.card = PolicyCard.from_metadata(opened.metadata, f"the file of policy {str(name_or_path)!r}")
         self._shapes = self._check_graph(str(name_or_path))
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The parts of an observation that it looks at."""
-        return tuple(self._shapes)
-
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "B 2"]:
         """Mean command (v m/s, w rad/s) for each row.
 
