@@ -15,13 +15,12 @@ import json
 import math
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from body import LargeImages, Log, Ros2, fill
+from body import LargeImages, Log, Ros2, fill, wait_for_node
 from geometry_msgs.msg import TransformStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -111,12 +110,11 @@ class Scenes:
         self.world.clock_offset_s = self.ros.clock_s() - time.monotonic()
 
     def wait_for_node(self) -> None:
-        deadline = time.monotonic() + 45
-        while not (self.ros.ready() and self.client.server_is_ready() and self.tf.get_subscription_count() > 0):
-            os.kill(self.pid, 0)  # raises if the node is gone
-            if time.monotonic() > deadline:
-                sys.exit("the node did not listen within 45 s")
-            self.ros.spin(0.1)
+        wait_for_node(
+            self.pid,
+            self.ros,
+            lambda: self.ros.ready() and self.client.server_is_ready() and self.tf.get_subscription_count() > 0,
+        )
 
     def run(self, limit_s: float, until: Callable[[], bool] = lambda: False) -> float:
         """The robot goes on until something is so; returns the seconds that it took."""

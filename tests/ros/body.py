@@ -18,6 +18,7 @@ import signal
 import sys
 import time
 from array import array
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from densecavoid.robot.drivers import Drivers
 from densecavoid.robot.fault_world import FaultWorld
 
 TOPICS: tuple[str, ...] = ("scan", "depth/image", "depth/camera_info", "odom", "goal_pose")
+START_LIMIT_S = 90.0
 DEPTH_SCALE = 16  # the world's 40 x 30 pixels become 640 x 480
 
 
@@ -196,6 +198,16 @@ def make_world(scenario: str | None, seed: int) -> Any:
     return MujocoBody(scenario, seed)
 
 
+def wait_for_node(pid: int, ros: Ros1 | Ros2, is_ready: Callable[[], bool]) -> None:
+    """Spins until the node is there; one that has to compile its kernels first takes most of a minute."""
+    deadline = time.monotonic() + START_LIMIT_S
+    while not is_ready():
+        os.kill(pid, 0)  # raises if the node is gone
+        if time.monotonic() > deadline:
+            sys.exit(f"the node did not listen within {START_LIMIT_S:.0f} s")
+        ros.spin(0.1)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("version", choices=("ros1", "ros2"))
@@ -213,12 +225,7 @@ def main() -> None:
         log.sent[topic] += not phase.startswith("signal-")
 
     world.now_s, world.clock_offset_s = time.monotonic(), ros.clock_s() - time.monotonic()
-    deadline = time.monotonic() + 45
-    while not ros.ready():
-        os.kill(args.pid, 0)  # raises if the node is gone
-        if time.monotonic() > deadline:
-            sys.exit("the node did not listen within 45 s")
-        ros.spin(0.1)
+    wait_for_node(args.pid, ros, ros.ready)
     ros.spin(0.5)
     goal_frame = "map" if args.version == "ros1" else "odom"
     step, phase = 0, ""

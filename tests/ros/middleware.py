@@ -62,7 +62,7 @@ class Ros:
             done = subprocess.run(
                 [*body, "--out", str(out), "--script", json.dumps(script), *options],
                 env=self.environment,
-                timeout=60 + sum(seconds for _, seconds in script),
+                timeout=120 + sum(seconds for _, seconds in script),
                 capture_output=True,
                 text=True,
             )

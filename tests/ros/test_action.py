@@ -49,7 +49,7 @@ def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return ros.drive(SCENES, "action", program="action_client.py")
 
 
-pytestmark = pytest.mark.timeout(240)  # the first test waits for all scenes
+pytestmark = pytest.mark.timeout(300)  # the first test waits for all scenes
 
 
 def test_the_scanners_place_comes_from_tf_static(told: dict[str, Any]) -> None:

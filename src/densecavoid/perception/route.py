@@ -177,9 +177,13 @@ def _look(
         if not due[b] and not _is_blocked(shown_x, shown_y, seen, of_world, rules):
             continue
         find_ways(distance, slowness, known, goal[b, 0], goal[b, 1], seen, *of_world, rules)
-        ways[b] = distance
-        ways_from[b] = pose[b]
-        distance /= cell
+        # Cell by cell: to assign whole arrays, numba compiles how it would word an error for seconds.
+        for row in range(cells):
+            for column in range(cells):
+                ways[b, row, column] = distance[row, column]
+                distance[row, column] /= cell
+        for axis in range(3):
+            ways_from[b, axis] = pose[b, axis]
         kept_x = kept_y = _NOWHERE
         if not fresh[b]:
             kept_x, kept_y = shown_x / cell, shown_y / cell
@@ -187,7 +191,7 @@ def _look(
         of_way = distance, slowness, known, goal_x, goal_y, kept_x, kept_y, ahead / cell, shorter / cell
         x, y, arrives = _next_place(*of_way)
         if arrives:
-            places[b] = goal_odom[b]
+            places[b, 0], places[b, 1] = goal_odom[b, 0], goal_odom[b, 1]
         else:
             places[b, 0] = pose[b, 0] + (cos * x - sin * y) * cell
             places[b, 1] = pose[b, 1] + (sin * x + cos * y) * cell

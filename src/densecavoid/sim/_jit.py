@@ -63,7 +63,7 @@ def share_compilation() -> None:
     perception need while this one compiles how worlds move. It finds the result in the cache."""
     if kernels_are_compiled() or multiprocessing.parent_process() is not None or os.environ.get(_HELPER):
         return
-    print("densecavoid: compiling for this machine, once: about 20 s.", file=sys.stderr, flush=True)
+    print("densecavoid: compiling for this machine, once: about half a minute.", file=sys.stderr, flush=True)
     if available_threads() > 1:
         command, nobody = [sys.executable, "-m", "densecavoid.compile_sensors"], subprocess.DEVNULL
         environment = os.environ | {_HELPER: "1", "NUMBA_CACHE_DIR": numba.config.CACHE_DIR}  # type: ignore[attr-defined]
