@@ -19,9 +19,18 @@ from jaxtyping import Bool, Float32, Float64
 
 from densecavoid.foresight.field_kernels import steps_of_commands, steps_of_moments
 from densecavoid.frames import COMMAND_GRID, RobotConfig, require
-from densecavoid.perception.outlook_kernels import Around, Lattice, Rules, find_spans, worth_of_commands
+from densecavoid.perception.outlook_kernels import (
+    SIDE_BY_SIDE,
+    Around,
+    Lattice,
+    Room,
+    Rules,
+    find_spans,
+    make_room,
+    worth_of_commands,
+)
 from densecavoid.perception.rolling_grid import CELL_M
-from densecavoid.sim._jit import for_worlds, threads_for
+from densecavoid.sim._jit import available_threads, for_worlds, threads_for
 
 
 @dataclass(frozen=True)
@@ -124,7 +133,7 @@ def make_lattice(
 
 
 class Outlook:
-    """For robots of one kind. Keeps nothing from one moment to the next."""
+    """For robots of one kind. Remembers nothing from one moment to the next."""
 
     def __init__(self, config: OutlookConfig, robot: RobotConfig, threads: int = 0) -> None:
         """
@@ -136,6 +145,7 @@ class Outlook:
         self._threads = threads
         limits = float(robot.max_linear_velocity), float(robot.max_angular_velocity)
         self._lattice, self.commands = make_lattice(config.horizon_s, config.hold_s, config.cell_m, *limits)
+        self._room: Room | None = None  # of the size that looks have asked for
         self._rules = Rules(
             cell_m=config.cell_m,
             moments=round(config.horizon_s / config.hold_s),
@@ -159,5 +169,9 @@ class Outlook:
 
     def look(self, around: Around, which: Bool[np.ndarray, "B"], out: Float32[np.ndarray, "B K"]) -> None:
         """Writes what each of `commands` is worth in the marked worlds."""
-        args = which, around, self._lattice, self.commands, self._rules, out
-        for_worlds(worth_of_commands, len(which), threads_for(which, self._threads), *args)
+        threads = min(threads_for(which, self._threads) or available_threads(), len(which))
+        wide = min(len(which), SIDE_BY_SIDE)
+        if self._room is None or len(self._room.ground) < threads or self._room.ground.shape[1] < wide:
+            self._room = make_room(self._lattice, threads, wide)
+        args = self._room, which, around, self._lattice, self.commands, self._rules, out
+        for_worlds(worth_of_commands, threads, threads, threads, *args)

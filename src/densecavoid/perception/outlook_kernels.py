@@ -16,7 +16,7 @@ from densecavoid.sim._jit import inner, kernel
 from densecavoid.sim.robot import drive
 
 _TAKEN = np.float32(1e3)
-_SIDE_BY_SIDE = 8  # worlds that are reckoned together: then loops are long enough, and values not yet out of the cache
+SIDE_BY_SIDE = 8  # worlds that are reckoned together: then loops are long enough, and values not yet out of the cache
 _FARTHEST_M = 20.0  # a longer way counts so much: discounted, nothing is worth anything to who has far to go
 _TURNED_ROUND = 0.6  # share of the time to turn on the spot that heading elsewhere costs: robots drive on as they turn
 
@@ -69,6 +69,49 @@ class Lattice(NamedTuple):
     size_y: int  # cells along y
     boxes: np.ndarray  # i64 [M + 1, 4] first and last (excluded) cells along x, and along y, of all headings
     spans: np.ndarray  # i32 [M + 1, H, X, 2] first and last (excluded) cells along y that it can be in after a moment
+
+
+class Room(NamedTuple):
+    """Room to work, kept from one look to the next: to ask the system for its pages took as long as to fill them.
+
+    For each of the threads N, for W worlds side by side: in rows of Y * W, entry j * many + n is that of cell j in the
+    nth of as many worlds as are looked at.
+    """
+
+    values: np.ndarray  # f32 [N, 2, H, X, Y * W] of two moments; finite wherever they are not asked for
+    ground: np.ndarray  # f32 [N, W, X, Y]
+    scratch: np.ndarray  # f32 [N, X, Y]
+    kept: np.ndarray  # f32 [N, X, Y * W]
+    cost: np.ndarray  # f32 [N, X, Y * W]
+    worth: np.ndarray  # f32 [N, X, Y * W]
+    ahead: np.ndarray  # i32 [N, X, Y * W]
+    is_goal: np.ndarray  # bool [N, X, Y * W]
+    best: np.ndarray  # f32 [N, Y * W]
+    total: np.ndarray  # f32 [N, Y * W]
+    fade: np.ndarray  # f32 [N, H]
+
+
+def make_room(lattice: Lattice, threads: int, wide: int) -> Room:
+    """For so many threads, each with up to `wide` worlds at once (`SIDE_BY_SIDE` at most)."""
+    _, headings, size_x, _ = lattice.spans.shape
+    row = lattice.size_y * wide
+
+    def plane(kind: type = np.float32) -> np.ndarray:
+        return np.zeros((threads, size_x, row), kind)
+
+    return Room(
+        values=np.zeros((threads, 2, headings, size_x, row), np.float32),
+        ground=np.zeros((threads, wide, size_x, lattice.size_y), np.float32),
+        scratch=np.zeros((threads, size_x, lattice.size_y), np.float32),
+        kept=plane(),
+        cost=plane(),
+        worth=plane(),
+        ahead=plane(np.int32),
+        is_goal=plane(np.bool_),
+        best=np.zeros((threads, row), np.float32),
+        total=np.zeros((threads, row), np.float32),
+        fade=np.zeros((threads, headings), np.float32),
+    )
 
 
 @inner
@@ -307,10 +350,12 @@ def _weigh(out, following, around, b, lattice, commands, rules, pose, one, many)
 
 
 @kernel
-def worth_of_commands(first, last, which, around, lattice, commands, rules, out):
+def worth_of_commands(first, last, shares, room, which, around, lattice, commands, rules, out):
     """What it is worth to hold each command for a moment, and then to do the best that can be foreseen.
 
     Args:
+        first, last: of as many shares of the worlds as threads work.
+        room: a `Room` of at least as many.
         which: bool [B] worlds.
         around: an `Around`.
         lattice: a `Lattice`.
@@ -318,36 +363,32 @@ def worth_of_commands(first, last, which, around, lattice, commands, rules, out)
         rules: a `Rules`.
         out: f32 [B, K], written.
     """
-    headings, size_x, size_y = lattice.spans.shape[1], lattice.spans.shape[2], lattice.size_y
-    together = np.empty(_SIDE_BY_SIDE, np.int64)
+    together = np.empty(SIDE_BY_SIDE, np.int64)
     pose = np.zeros(3)
-    at = first
-    while at < last:
-        many = 0
-        while at < last and many < _SIDE_BY_SIDE:
-            if which[at]:
-                together[many] = at
-                many += 1
-            at += 1
-        if many == 0:
-            break
-        shape = size_x, size_y * many
-        following = np.zeros((headings, *shape), np.float32)
-        now = np.zeros((headings, *shape), np.float32)
-        ground, scratch = np.empty((many, size_x, size_y), np.float32), np.empty((size_x, size_y), np.float32)
-        kept, cost = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        worth, ahead, is_goal = np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty(shape, np.bool_)
-        best, total = np.empty(shape[1], np.float32), np.empty(shape[1], np.float32)
-        fade = np.empty(headings, np.float32)
-        for n in range(many):
-            b = together[n]
-            _mark_ground(ground[n], kept[:, n::many], is_goal[:, n::many], around, b, lattice, rules)
-            _end_of_ways(worth, ahead, ground[n], around, b, lattice, rules, n, many)
-        _begin_at_the_end(following, worth, ahead, fade, lattice, rules, many)
-        for k in range(rules.moments - 1, 0, -1):
+    for share in range(first, last):
+        following, now = room.values[share, 0], room.values[share, 1]
+        ground, scratch, kept, cost = room.ground[share], room.scratch[share], room.kept[share], room.cost[share]
+        worth, ahead, is_goal = room.worth[share], room.ahead[share], room.is_goal[share]
+        best, total, fade = room.best[share], room.total[share], room.fade[share]
+        at, end = len(which) * share // shares, len(which) * (share + 1) // shares
+        while at < end:
+            many = 0
+            while at < end and many < len(ground):
+                if which[at]:
+                    together[many] = at
+                    many += 1
+                at += 1
+            if many == 0:
+                break
             for n in range(many):
-                _mark_moment(cost[:, n::many], scratch, ground[n], k, around, together[n], lattice, rules)
-            _one_moment_before(now, following, best, total, cost, kept, is_goal, k, lattice, rules, many)
-            following, now = now, following
-        for n in range(many):
-            _weigh(out, following, around, together[n], lattice, commands, rules, pose, n, many)
+                b = together[n]
+                _mark_ground(ground[n], kept[:, n::many], is_goal[:, n::many], around, b, lattice, rules)
+                _end_of_ways(worth, ahead, ground[n], around, b, lattice, rules, n, many)
+            _begin_at_the_end(following, worth, ahead, fade, lattice, rules, many)
+            for k in range(rules.moments - 1, 0, -1):
+                for n in range(many):
+                    _mark_moment(cost[:, n::many], scratch, ground[n], k, around, together[n], lattice, rules)
+                _one_moment_before(now, following, best, total, cost, kept, is_goal, k, lattice, rules, many)
+                following, now = now, following
+            for n in range(many):
+                _weigh(out, following, around, together[n], lattice, commands, rules, pose, n, many)
