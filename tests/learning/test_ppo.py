@@ -90,7 +90,12 @@ def test_sensors_that_are_not_there_are_blank_in_the_rollout(tiny_network: Netwo
                 "worth": np.zeros((self.num_envs, 25), np.float32),
             }
 
-    for sensors, lidar, prediction in (("densecavoid", 0.3, 0), ("depth-lidar", 0.3, 255), ("depth", 1.0, 255)):
+    for sensors, lidar, prediction in (
+        ("densecavoid", 0.3, 0),
+        ("depth-lidar", 0.3, 255),
+        ("depth", 1.0, 255),
+        ("lidar", 0.3, 255),
+    ):
         collector = Collector([Seen(2, 3)], 4, sensors, 1.0, CPU)
         collector.reset(0)
         observation = collector.collect(ActorCritic(tiny_network), torch.Generator()).observation

@@ -31,13 +31,13 @@ def random_observation(batch: int, scans: int = NUM_SCANS) -> Observation:
     )
 
 
-@pytest.fixture(scope="module", params=["compact", "paper", "weighing"])
+@pytest.fixture(scope="module", params=["compact", "paper", "long2018", "weighing"])
 def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[ActorCritic, Path]:
     torch.manual_seed(0)
     weighs = request.param == "weighing"
     config = NetworkConfig.preset("compact" if weighs else request.param)
     network = ActorCritic(dataclasses.replace(config, worth_features=64 if weighs else 0))
-    torch.nn.init.orthogonal_(network.actor_output.weight)
+    torch.nn.init.orthogonal_(network.actor_output.weight, gain=2.0)
     path = tmp_path_factory.mktemp("export") / f"{request.param}.onnx"
     export_onnx(path, network, describe(network, request.param, observation={"horizon_s": 0.4}, training={"steps": 3}))
     return network, path

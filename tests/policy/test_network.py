@@ -185,7 +185,7 @@ def test_settings_that_do_not_fit_are_named() -> None:
     compact = NetworkConfig.preset("compact")
     with pytest.raises(ValueError, match=r"ConvConfig.kernel is \(8,\), expected a divisor of the input size \(500,\)"):
         dataclasses.replace(compact, num_rays=500)
-    with pytest.raises(ValueError, match="unknown network 'tiny', expected one of: paper, compact, teacher"):
+    with pytest.raises(ValueError, match="unknown network 'tiny', expected one of: paper, compact, long2018, teacher"):
         NetworkConfig.preset("tiny")
     with pytest.raises(ValueError, match=r"ConvConfig.kernel is \(4,\)"):
         ConvConfig(8, (4,), (2,))

@@ -35,9 +35,9 @@ class TrainConfig:
     """Name of the policy, as it appears in result tables."""
     stage: Literal["all", "random-goal", "cluttered-static", "random-pedestrians", "dense-random-pedestrians"] = "all"
     """`all` runs the paper's four stages in turn; the name of one trains it alone."""
-    network: Literal["compact", "paper", "teacher"] = "compact"
-    """`compact` (1.4 MFLOP a pass), `paper` (276 MFLOP), or `teacher`, which is told where people truly are instead of
-    seeing them (no robot can run it; `imitation` learns from it)."""
+    network: Literal["compact", "paper", "long2018", "teacher"] = "compact"
+    """`compact` (1.4 MFLOP a pass), `paper` (276 MFLOP), `long2018` (lidar alone, 3 MFLOP), or `teacher`, which is
+    told where people truly are instead of seeing them (no robot can run it; `imitation` learns from it)."""
     critic: Literal["as-network", "shared", "separate"] = "as-network"
     """Whether actor and critic share the branches that see; as-network: `compact` shares them, `paper` does not."""
     privileged_critic: bool = False
@@ -46,8 +46,8 @@ class TrainConfig:
     """Bring ranges, goal and velocity to mean 0 and variance 1 by running moments, which the policy's file keeps."""
     normalise_values: bool = False
     """Bring the critic's targets to mean 0 and variance 1 by running moments."""
-    sensors: Literal["densecavoid", "depth-lidar", "depth"] = "densecavoid"
-    """Everything; without the prediction frame; the depth camera alone."""
+    sensors: Literal["densecavoid", "depth-lidar", "depth", "lidar"] = "densecavoid"
+    """Everything; without the prediction frame; the depth camera alone; the lidar alone."""
     initial_weights: Path | None = None
     """A policy (.safetensors) to start from, such as that of the stage before."""
     num_envs: int = 64

@@ -126,8 +126,9 @@ class NetworkConfig:
 
     @staticmethod
     def preset(name: str) -> NetworkConfig:
-        """`compact` (shared branches, about 1.4 MFLOP a pass), `paper` (published Fig. 3, 276 MFLOP), or `teacher` (is
-        told of true people instead of a camera's image, .2 MFLOP, for imitation).
+        """`compact` (shared branches, about 1.4 MFLOP a pass), `paper` (published Fig. 3, 276 MFLOP), `long2018` (the
+        lidar alone, 3 MFLOP, as in Long et al. 2018, Towards optimally decentralized multi-robot collision avoidance),
+        or `teacher` (is told of true people instead of a camera's image, .2 MFLOP, for imitation).
 
         Raises:
             ValueError: if there is no preset of this name.
@@ -193,6 +194,18 @@ PRESETS = {
         lidar_falloff=4.0,
         state_gain=2.0,
         shared_encoder=True,
+    ),
+    "long2018": NetworkConfig(
+        name="long2018",
+        lidar_layers=(ConvConfig(32, (5,), (2,)), ConvConfig(32, (3,), (2,))),
+        lidar_features=(256,),
+        camera_layers=(),
+        camera_features=(),
+        head_features=128,
+        goal_direction=False,
+        lidar_falloff=0.0,
+        state_gain=1.0,
+        shared_encoder=False,
     ),
     "teacher": NetworkConfig(
         name="teacher",
