@@ -259,8 +259,8 @@ def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, latt
             row_kept = kept[i, first:]
             for n in range(size):
                 value = (meant * best[n] + spread * total[n]) * row_kept[n] - row_cost[n]
-                value = collision if row_cost[n] >= _TAKEN else value
-                row[n] = np.float32(1.0) if row_goal[n] else value
+                value = np.float32(1.0) if row_goal[n] else value
+                row[n] = collision if row_cost[n] >= _TAKEN else value
 
 
 @inner
@@ -297,7 +297,9 @@ def _mark_ground(ground, kept, is_goal, around, b, lattice, rules):
         raise_around(ground, x, y, hit, hit + rules.near_thing_m, _TAKEN, rules.near_thing_slower, x0, y0, cell)
     for i in range(ground.shape[0]):
         for j in range(ground.shape[1]):
-            if 0.0 < ground[i, j] < _TAKEN:
+            if is_goal[i, j]:  # whoever sets a goal beside things means it; people who stand there are another matter
+                ground[i, j] = 0.0
+            elif 0.0 < ground[i, j] < _TAKEN:
                 kept[i, j] = math.exp(math.log(rules.discount) * ground[i, j])
                 ground[i, j] = 0.0
 

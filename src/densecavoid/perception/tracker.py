@@ -16,12 +16,12 @@ import numpy as np
 from densecavoid.frames import require
 from densecavoid.perception.assignment import NOBODY, settle_contested, settle_uncontested
 from densecavoid.perception.detections import MAX_DETECTIONS, Detections
-from densecavoid.perception.kalman import kalman_correct, kalman_predict
+from densecavoid.perception.kalman import imm_begin, imm_correct, imm_predict
 from densecavoid.perception.tracks import HISTORY, HISTORY_DT_S, MAX_TRACKS, Tracks, allocate_tracks, forget, remember
 from densecavoid.perception.visibility import DepthView, LidarView, legs_seen_by_lidar, seen_by_camera
 from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
 
-ACCELERATION_STD = 1.0
+ACCELERATION_STD = 1.5
 """m/s2, how people's velocity wanders."""
 MAX_UNSEEN_S = 3.0
 """A track not seen for longer is given up, whatever hides it."""
@@ -40,6 +40,9 @@ class TrackerSettings(NamedTuple):
     (`benchmarks/tracking.py --tune`). Evidence is in log-odds that a track is a person's who is still there."""
 
     acceleration_std: float = ACCELERATION_STD
+    steady_std: float = 0.1
+    turns_per_s: float = 0.3
+    steadies_per_s: float = 1.0
     new_speed_std: float = 0.7
     """m/s, of x and of y, of somebody just found."""
     gate: float = 13.8
@@ -83,7 +86,9 @@ def _predict(first, last, which, tracks, settings, dt):
         if which[b]:
             for t in range(tracks.live.shape[1]):
                 if tracks.live[b, t]:
-                    kalman_predict(tracks.state[b, t], tracks.covariance[b, t], dt, settings.acceleration_std)
+                    state, covariance = tracks.state[b, t], tracks.covariance[b, t]
+                    manner = settings.steady_std, settings.acceleration_std, settings.turns_per_s, settings.steadies_per_s
+                    imm_predict(tracks.modes[b, t], state, covariance, dt, *manner)
                     tracks.unseen_s[b, t] += dt
                     tracks.existence[b, t] -= settings.forgotten_per_s * dt
 
@@ -200,7 +205,8 @@ def _evidence(settings, confidence):
 @inner
 def _take_in(tracks, settings, b, t, detections, d, from_camera):
     std = max(detections.std_m[b, d], _LEAST_STD_M)
-    kalman_correct(tracks.state[b, t], tracks.covariance[b, t], detections.pos[b, d, 0], detections.pos[b, d, 1], std)
+    x, y = detections.pos[b, d, 0], detections.pos[b, d, 1]
+    imm_correct(tracks.modes[b, t], tracks.state[b, t], tracks.covariance[b, t], x, y, std)
     for k in range(2):
         size = detections.body[b, d, k]
         if 0.0 < size < 3.0:
@@ -233,6 +239,8 @@ def _begin(tracks, settings, b, detections, d, from_camera, beside_another):
     tracks.covariance[b, slot, 0] = std * std
     tracks.covariance[b, slot, 1] = 0.0
     tracks.covariance[b, slot, 2] = settings.new_speed_std**2
+    turning = settings.turns_per_s / (settings.turns_per_s + settings.steadies_per_s)
+    imm_begin(tracks.modes[b, slot], tracks.state[b, slot], tracks.covariance[b, slot], turning)
     for k in range(2):
         size = detections.body[b, d, k]
         tracks.body[b, slot, k] = size if 0.0 < size < 3.0 else TYPICAL_BODY[k]

@@ -19,6 +19,7 @@ class Tracks(NamedTuple):
 
     state: np.ndarray  # f64 [B, T, 4] x, y, vx, vy in the odometry frame
     covariance: np.ndarray  # f64 [B, T, 3] of position, position-velocity, velocity; x and y share it
+    modes: np.ndarray  # f64 [B, T, 3, 8] the same for who walks on and for who turns (`kalman.imm_begin`)
     body: np.ndarray  # f64 [B, T, 2] radius, height; a typical body's where no sensor could tell
     existence: np.ndarray  # f64 [B, T] log-odds that it is a person who is still there
     live: np.ndarray  # bool [B, T] the slot is in use
@@ -39,6 +40,7 @@ def allocate_tracks(num_worlds: int) -> Tracks:
     return Tracks(
         state=np.zeros((*shape, 4)),
         covariance=np.zeros((*shape, 3)),
+        modes=np.zeros((*shape, 3, 8)),
         body=np.zeros((*shape, 2)),
         existence=np.zeros(shape),
         live=np.zeros(shape, np.bool_),
