@@ -28,7 +28,7 @@ from densecavoid.perception.evaluation.tracker import (
 from densecavoid.perception.evaluation.tracking_cost import tracking_cost
 from densecavoid.perception.evaluation.tracking_sources import NoisyTruthSource
 from densecavoid.perception.sources import ImageSource
-from densecavoid.perception.tracker import TrackerSettings
+from densecavoid.perception.tracker_settings import TrackerSettings
 
 Part = tuple[Sequence[Moment], TrackingRun]
 

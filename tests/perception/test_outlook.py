@@ -195,3 +195,13 @@ def test_nothing_is_put_off(bearing: float) -> None:
 def test_settings_that_make_no_sense_are_refused(values: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(values))):
         OutlookConfig(**values)
+
+
+def test_a_goal_is_not_reached_where_somebody_stands_then_and_is_beside_things() -> None:
+    goal, straight = (1.6, 0.0), (COMMAND_GRID == [1.0, 0.0]).all(axis=1).argmax()
+    on_it, leaves = [1.8, 0.0, 0.0, 0.0, 0.25], [1.8, 0.0, 1.0, 0.0, 0.25]
+    blocked, free = (worth(OutlookConfig(), goal, np.array([person])) for person in (on_it, leaves))
+    assert COMMAND_GRID[blocked.argmax()][0] == 0.0 and blocked.max() < 0.9
+    assert free.argmax() == straight and free[straight] > 0.95
+    beside = look(Outlook(OutlookConfig(), ROBOT, 1), around([(goal, NOBODY)], np.array([[1.9, 0.0]])))[0]
+    assert beside.argmax() == straight and beside[straight] > 0.95

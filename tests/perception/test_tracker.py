@@ -11,13 +11,16 @@ from hypothesis import strategies as st
 
 from densecavoid.frames import CameraConfig, LidarConfig
 from densecavoid.perception.detections import MAX_DETECTIONS, Detections, allocate_detections
-from densecavoid.perception.kalman import kalman_correct, kalman_predict
-from densecavoid.perception.tracker import ACCELERATION_STD, MAX_UNSEEN_S, Sighting, Tracker
+from densecavoid.perception.kalman import imm_begin, imm_correct, imm_predict, kalman_correct, kalman_predict
+from densecavoid.perception.tracker import Sighting, Tracker
+from densecavoid.perception.tracker_settings import MAX_UNSEEN_S, TrackerSettings
 from densecavoid.perception.tracks import HISTORY, MAX_TRACKS
 from densecavoid.perception.visibility import depth_view, lidar_view
+from densecavoid.sim._jit import kernel
 
 CAMERA, LIDAR = CameraConfig(), LidarConfig()
 DT = 0.1
+MANNER = TrackerSettings(steady_std=0.1, turning_std=1.5, turns_per_s=0.3, steadies_per_s=1.0)
 
 
 def found(*worlds, std=0.05, confidence=0.95) -> Detections:
@@ -59,13 +62,13 @@ def test_the_filter_is_the_textbook_one_in_4_x_4_matrices():
     eye = np.eye(2)
     transition = np.block([[eye, DT * eye], [0 * eye, eye]])
     push = np.vstack([0.5 * DT**2 * eye, DT * eye])
-    noise = ACCELERATION_STD**2 * push @ push.T
+    noise = 1.0**2 * push @ push.T
     measure = np.hstack([eye, 0 * eye])
     mean, cov = rng.normal(size=4), np.block([[0.3 * eye, 0.1 * eye], [0.1 * eye, 0.8 * eye]])
     state, shared = mean.copy(), np.array([0.3, 0.1, 0.8])
     for _ in range(30):
         z, std = rng.normal(size=2), rng.uniform(0.02, 0.3)
-        kalman_predict(state, shared, DT, ACCELERATION_STD)
+        kalman_predict(state, shared, DT, 1.0)
         kalman_correct(state, shared, z[0], z[1], std)
         mean, cov = transition @ mean, transition @ cov @ transition.T + noise
         innovation = measure @ cov @ measure.T + std**2 * eye
@@ -73,6 +76,77 @@ def test_the_filter_is_the_textbook_one_in_4_x_4_matrices():
         mean, cov = mean + gain @ (z - measure @ mean), (np.eye(4) - gain @ measure) @ cov
         np.testing.assert_allclose(state, mean, rtol=1e-9)
         np.testing.assert_allclose(shared, [cov[0, 0], cov[0, 2], cov[2, 2]], rtol=1e-9)
+
+
+@kernel
+def through(modes, state, covariance, places, std, dt, manner, told):
+    """Both models through measured places, moment by moment."""
+    imm_begin(modes, state, covariance, 0.2)
+    for k in range(len(places)):
+        imm_predict(modes, state, covariance, dt, manner)
+        imm_correct(modes, state, covariance, places[k, 0], places[k, 1], std)
+        for i in range(7):
+            told[k, i] = state[i] if i < 4 else covariance[i - 4]
+        told[k, 7] = modes[0, 7]
+
+
+def follow(places: np.ndarray, std: float) -> np.ndarray:
+    told = np.empty((len(places), 8))
+    through(
+        np.zeros((3, 8)), np.array([*places[0], 0.0, 0.0]), np.array([0.01, 0.0, 0.5]), places, std, DT, MANNER, told
+    )
+    return told
+
+
+def test_two_models_together_are_the_textbook_ones_in_matrices():
+    """Where x and y are the same, so are their covariances, which the tracker supposes always."""
+    rng = np.random.default_rng(0)
+    line = np.cumsum(0.05 + 0.1 * rng.normal(size=60) ** 3)
+    transition, push = np.array([[1.0, DT], [0.0, 1.0]]), np.array([0.5 * DT**2, DT])
+    stay = np.exp(-DT * np.array([0.3, 1.0]))
+    switch = np.array([[stay[0], 1 - stay[0]], [1 - stay[1], stay[1]]])
+    means, covs = np.array([[line[0], 0.0]] * 2), np.array([np.diag([0.01, 0.5])] * 2)
+    chance, std = np.array([0.8, 0.2]), 0.05
+    told = follow(np.stack([line, line], axis=1), std)
+    for z, state in zip(line, told, strict=True):
+        ahead = chance @ switch
+        share = switch * chance[:, None] / ahead  # of model i in what goes into model j
+        mixed = share.T @ means
+        off = means[:, None] - mixed[None]
+        covs = np.einsum("ij,iab->jab", share, covs) + np.einsum("ij,ija,ijb->jab", share, off, off)
+        means = mixed @ transition.T
+        covs = transition @ covs @ transition.T + np.array([0.1, 1.5])[:, None, None] ** 2 * np.outer(push, push)
+        innovation = covs[:, 0, 0] + std**2
+        missed = z - means[:, 0]
+        chance = ahead * np.exp(-(missed**2) / innovation) / innovation  # of x and of y
+        chance /= chance.sum()
+        gain = covs[:, :, 0] / innovation[:, None]
+        means = means + gain * missed[:, None]
+        covs = covs - gain[:, :, None] * covs[:, :1]
+        np.testing.assert_allclose(state[[0, 2]], chance @ means, rtol=1e-9)
+        off = means - chance @ means
+        together = np.einsum("i,iab->ab", chance, covs) + np.einsum("i,ia,ib->ab", chance, off, off)
+        np.testing.assert_allclose(state[4:7], together[[0, 0, 1], [0, 1, 1]], rtol=1e-9, atol=1e-12)
+        assert state[7] == pytest.approx(chance[0], rel=1e-6)
+
+
+def test_the_velocity_of_who_walks_on_is_better_known_than_one_model_knows_it_and_a_turn_is_followed():
+    rng = np.random.default_rng(1)
+    wrong, alone, late = [], [], []
+    for _ in range(50):
+        velocity = np.where(np.arange(90)[:, None] < 60, [0.5, 0.0], [0.0, 0.5])
+        places = np.cumsum(DT * velocity, axis=0) + rng.normal(0, 0.04, (90, 2))
+        told = follow(places, 0.04)
+        wrong.append(np.hypot(*(told[40:60, 2:4] - velocity[40:60]).T))
+        late.append(np.hypot(*(told[72, 2:4] - velocity[72])))
+        state, covariance = np.array([*places[0], 0.0, 0.0]), np.array([0.01, 0.0, 0.5])
+        for k, place in enumerate(places[:60]):
+            kalman_predict(state, covariance, DT, 1.0)
+            kalman_correct(state, covariance, *place, 0.04)
+            if k >= 40:
+                alone.append(np.hypot(*(state[2:] - velocity[k])))
+    assert np.median(wrong) < 0.6 * np.median(alone)
+    assert np.median(late) < 0.15  # 1.2 s after a right angle
 
 
 def test_people_who_cross_one_metre_apart_keep_their_labels():

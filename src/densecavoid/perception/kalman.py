@@ -88,14 +88,14 @@ def imm_begin(modes, state, covariance, turning):
 
 
 @inner
-def imm_predict(modes, state, covariance, dt, steady_std, turning_std, turns_per_s, steadies_per_s):
+def imm_predict(modes, state, covariance, dt, manner):
     """Moves both models on by `dt` s, in place, and writes what they say together into `state` and `covariance`.
 
     Args:
-        steady_std, turning_std: m/s2, acceleration of who walks on, and of who turns.
-        turns_per_s, steadies_per_s: how often people begin to, and how soon they are done.
+        manner: has `steady_std` and `turning_std` (m/s2), acceleration of who walks on and of who turns, and
+            `turns_per_s` and `steadies_per_s`, how often people begin to turn and how soon they are done.
     """
-    turn, steady = 1.0 - math.exp(-turns_per_s * dt), 1.0 - math.exp(-steadies_per_s * dt)
+    turn, steady = 1.0 - math.exp(-manner.turns_per_s * dt), 1.0 - math.exp(-manner.steadies_per_s * dt)
     goes_on, calms = modes[0, 7] * (1.0 - turn), modes[1, 7] * steady
     chance = goes_on + calms
     begins = modes[0, 7] * turn / (1.0 - chance)
@@ -103,8 +103,8 @@ def imm_predict(modes, state, covariance, dt, steady_std, turning_std, turns_per
     _merge(modes[0], modes[1], begins, modes[1])
     for k in range(7):
         modes[0, k] = modes[2, k]
-    kalman_predict(modes[0, :4], modes[0, 4:7], dt, steady_std)
-    kalman_predict(modes[1, :4], modes[1, 4:7], dt, turning_std)
+    kalman_predict(modes[0, :4], modes[0, 4:7], dt, manner.steady_std)
+    kalman_predict(modes[1, :4], modes[1, 4:7], dt, manner.turning_std)
     modes[0, 7], modes[1, 7] = chance, 1.0 - chance
     _tell(modes, state, covariance)
 

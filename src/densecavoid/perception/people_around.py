@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from densecavoid.frames import SensorFrame, into_robot_frame, seen_from
-from densecavoid.perception.tracker import TrackerSettings
+from densecavoid.perception.tracker_settings import TrackerSettings
 from densecavoid.perception.tracks import Tracks
 
 

@@ -1,4 +1,4 @@
-"""Tracks of people in the odometry frame, from camera and lidar: a constant-velocity Kalman filter each.
+"""Tracks of people in the odometry frame, from camera and lidar: of each, two Kalman filters that interact.
 
 Each sensor's detections are assigned to the tracks and taken in one sensor after the other, so that what both see
 becomes one track. Tracks are born and die by evidence: a detection counts for a person's being there, a miss counts
@@ -17,14 +17,11 @@ from densecavoid.frames import require
 from densecavoid.perception.assignment import NOBODY, settle_contested, settle_uncontested
 from densecavoid.perception.detections import MAX_DETECTIONS, Detections
 from densecavoid.perception.kalman import imm_begin, imm_correct, imm_predict
+from densecavoid.perception.tracker_settings import TrackerSettings
 from densecavoid.perception.tracks import HISTORY, HISTORY_DT_S, MAX_TRACKS, Tracks, allocate_tracks, forget, remember
 from densecavoid.perception.visibility import DepthView, LidarView, legs_seen_by_lidar, seen_by_camera
 from densecavoid.sim._jit import for_worlds, inner, kernel, threads_for
 
-ACCELERATION_STD = 1.5
-"""m/s2, how people's velocity wanders."""
-MAX_UNSEEN_S = 3.0
-"""A track not seen for longer is given up, whatever hides it."""
 TYPICAL_BODY = (0.255, 1.71)
 """Radius and height in m of a person of whom only the legs are seen (adults: sim/people.py)."""
 
@@ -33,44 +30,6 @@ _FARTHEST_M = 1e4  # what is reported farther from the origin is no position
 _INSEPARABLE_M = 0.3  # nearer than that people do not stand (first percentile of neighbours' distances in crowds)
 _UNUSABLE = -3  # in place of a track: beside assignment.NOBODY and CONTESTED
 _SAME_PERSON_M = 0.5  # a leg so near to a tracked person is theirs
-
-
-class TrackerSettings(NamedTuple):
-    """What a tracker believes of people and of detectors; the defaults are tuned in simulated worlds of training
-    (`benchmarks/tracking.py --tune`). Evidence is in log-odds that a track is a person's who is still there."""
-
-    acceleration_std: float = ACCELERATION_STD
-    steady_std: float = 0.1
-    turns_per_s: float = 0.3
-    steadies_per_s: float = 1.0
-    new_speed_std: float = 0.7
-    """m/s, of x and of y, of somebody just found."""
-    gate: float = 13.8
-    """Squared Mahalanobis distance beyond which a detection is not a track's (chi2, 2 d.f.: once in a thousand)."""
-    newcomers_per_m2: float = 0.014
-    """Detections that belong to no track, in a frame."""
-    most_evidence: float = 4.5
-    """No more is counted."""
-    least_evidence: float = -1.8
-    """Below that a track is given up."""
-    confirmed: float = 2.0
-    """From which a track is surely a person's."""
-    gain_bias: float = 0.7
-    """That a detection adds to the log-odds of its confidence."""
-    least_gain: float = -1.0
-    most_gain: float = 1.4
-    """That one detection adds: one detector errs alike many times in a row."""
-    forgotten_per_s: float = 0.9
-    """That a track loses for as long as nobody sees it."""
-    most_missed: float = 0.7
-    """Of people whom a sensor ought to see, the share of which a single miss convinces."""
-    max_unseen_s: float = MAX_UNSEEN_S
-    moved_m: float = 0.21
-    """How far a track of legs alone must come to be a person's: furniture stands."""
-    moving: float = 0.18
-    """m/s, how fast it must be."""
-    steady: float = 0.8
-    """Share of its way that must lead on: what flickers between things goes to and fro."""
 
 
 class Sighting(NamedTuple):
@@ -86,9 +45,7 @@ def _predict(first, last, which, tracks, settings, dt):
         if which[b]:
             for t in range(tracks.live.shape[1]):
                 if tracks.live[b, t]:
-                    state, covariance = tracks.state[b, t], tracks.covariance[b, t]
-                    manner = settings.steady_std, settings.acceleration_std, settings.turns_per_s, settings.steadies_per_s
-                    imm_predict(tracks.modes[b, t], state, covariance, dt, *manner)
+                    imm_predict(tracks.modes[b, t], tracks.state[b, t], tracks.covariance[b, t], dt, settings)
                     tracks.unseen_s[b, t] += dt
                     tracks.existence[b, t] -= settings.forgotten_per_s * dt
 

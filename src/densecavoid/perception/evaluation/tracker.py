@@ -19,7 +19,8 @@ from densecavoid.perception.evaluation.legs import rays_on_legs
 from densecavoid.perception.legs import LegDetector
 from densecavoid.perception.metrics import MATCH_M, TrackingFrame, TrackingScores, pooled_scores, score_tracks
 from densecavoid.perception.sources import PeopleSource
-from densecavoid.perception.tracker import Sighting, Tracker, TrackerSettings
+from densecavoid.perception.tracker import Sighting, Tracker
+from densecavoid.perception.tracker_settings import TrackerSettings
 from densecavoid.perception.visibility import depth_view, lidar_view
 from densecavoid.scenarios import make_scenario
 from densecavoid.sim.spec import Scenario

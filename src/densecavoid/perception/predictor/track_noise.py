@@ -13,10 +13,9 @@ from densecavoid.frames import require
 from densecavoid.perception.predictor.contract import Histories
 from densecavoid.perception.predictor.kalman import KalmanPredictor
 from densecavoid.perception.predictor.windows import Windows
-from densecavoid.perception.tracker import ACCELERATION_STD
 
-TRACKER_FILTER = KalmanPredictor(acceleration_std=ACCELERATION_STD, measurement_std=0.05, speed_std=1.0)
-"""As the tracker's, which was a little surer of newcomers' speed when its settings were searched later on."""
+TRACKER_FILTER = KalmanPredictor(acceleration_std=1.0, measurement_std=0.05, speed_std=1.0)
+"""As the tracker's was when the predictors that ship were trained: one model; now it has two."""
 _BIAS_TIME_S = 0.5  # a person's visible side changes over about a step
 _SWITCH_REACH_M = 1.0
 
