@@ -70,7 +70,7 @@ benchmark: $(BASE_STAMP) ## speed of the simulator, printed
 
 table: $(BASE_STAMP) ## the README's results: every navigator in every test, into RESULTS (EPISODES a cell); goes on where it stopped
 	$(BIN)/densecavoid benchmark --episodes $(EPISODES) --out $(RESULTS) \
-		--navigators densecavoid densecavoid:truth lookahead dwa orca social-force frozone orca-privileged go-to-goal oracle
+		--navigators densecavoid densecavoid:truth depth-lidar depth lookahead dwa orca social-force frozone orca-privileged go-to-goal oracle
 
 clean: ## remove caches and build outputs (runs/ and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis
