@@ -24,6 +24,8 @@ _SOURCES: dict[str, PeopleFrom] = {":truth": "truth", ":boxes": "boxes", ":nothi
 
 _NAVIGATORS: dict[str, Callable[[RobotConfig], Navigator]] = {
     "densecavoid": lambda robot: _policy("densecavoid"),
+    "depth-lidar": lambda robot: _policy("depth-lidar"),
+    "depth": lambda robot: _policy("depth"),
     "frozone": lambda robot: Frozone(_policy("densecavoid"), robot),
     "dwa": Dwa,
     "social-force": SocialForce,
