@@ -368,3 +368,8 @@ def test_more_people_than_slots_leave_the_surest():
 def test_an_impossible_time_step_is_refused(dt):
     with pytest.raises(ValueError, match="dt_s"):
         Tracker(1).update(np.zeros((1, 3)), dt, [])
+
+
+def test_people_who_never_turn_or_never_walk_on_again_are_refused():
+    with pytest.raises(ValueError, match="turns_per_s, steadies_per_s"):
+        Tracker(1, settings=TrackerSettings(turns_per_s=0.0))

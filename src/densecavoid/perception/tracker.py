@@ -291,11 +291,13 @@ class Tracker:
             settings: what it believes; the shipped ones unless given.
 
         Raises:
-            ValueError: if a setting is not finite, or there is no world.
+            ValueError: if a setting is not finite, a rate not positive, or there is no world.
         """
         require(num_worlds >= 1, "num_worlds", num_worlds, "at least 1")
         settings = settings or TrackerSettings()
         require(all(map(math.isfinite, settings)), "settings", settings, "finite numbers")
+        rates = settings.turns_per_s, settings.steadies_per_s
+        require(min(rates) > 0, "turns_per_s, steadies_per_s", rates, "positive")
         self.tracks = allocate_tracks(num_worlds)
         self.threads = threads
         self._settings = TrackerSettings(*map(float, settings))  # one type: compiled once
