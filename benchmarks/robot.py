@@ -124,7 +124,7 @@ def difference_from_torch(observations: list[Observation], commands: list[np.nda
     worst = 0.0
     with torch.no_grad():
         for observation, command in zip(observations, commands, strict=True):
-            mean = network.mean(ObservationTensors(*map(torch.from_numpy, observation))).numpy()[0]
+            mean = network.command(ObservationTensors(*map(torch.from_numpy, observation))).numpy()[0]
             worst = max(worst, float(np.abs(mean - command).max()))
     return worst
 

@@ -19,8 +19,9 @@ from densecavoid.learning.checkpoint import load_checkpoint, save_checkpoint  # 
 from densecavoid.learning.config import TrainConfig  # noqa: E402
 from densecavoid.learning.foreseen_envs import UNIT, ForeseenVectorEnv  # noqa: E402
 from densecavoid.learning.foreseen_worlds import AnyLevel, ForeseenWorlds, ForesightConfig, build_world  # noqa: E402
-from densecavoid.learning.guidance import expected_loss, guide, losses_of_commands  # noqa: E402
+from densecavoid.learning.guidance import guide, losses_of_commands  # noqa: E402
 from densecavoid.learning.trainer import Trainer  # noqa: E402
+from densecavoid.policy.distribution import DiagonalGaussian  # noqa: E402
 from densecavoid.policy.network import PRESETS, ActorCritic  # noqa: E402
 from densecavoid.scenarios import TRAINING  # noqa: E402
 from densecavoid.sim.config import SimConfig  # noqa: E402
@@ -148,7 +149,8 @@ def test_the_loss_is_what_a_loop_gives_and_its_gradient_leads_to_the_best_comman
     rng = torch.Generator().manual_seed(0)
     commands = torch.tensor([(v, w) for v in (0.0, 0.5, 1.0) for w in (-0.4, 0.0, 0.4)])
     values, mean, std = torch.rand(2, 9, generator=rng), torch.rand(2, 2, generator=rng), torch.tensor([0.3, 0.2])
-    loss = expected_loss(mean, std, commands.expand(2, -1, -1), losses_of_commands(values, 0.5, 0.1))
+    policy, losses = DiagonalGaussian(mean, std.log()), losses_of_commands(values, 0.5, 0.1)
+    loss = (policy.shares(commands.expand(2, -1, -1)) * losses).sum(dim=1)
     for b in range(2):
         density = np.array([np.exp(-0.5 * float((((c - mean[b]) / std) ** 2).sum())) for c in commands])
         lost = np.minimum((values[b].max() - values[b]).numpy(), 0.5)
@@ -160,7 +162,8 @@ def test_the_loss_is_what_a_loop_gives_and_its_gradient_leads_to_the_best_comman
     optimiser = torch.optim.Adam([at], lr=0.02)
     for _ in range(200):
         optimiser.zero_grad()
-        expected_loss(at, std, commands[None], losses_of_commands(values, 9.0, 0.1)).sum().backward()
+        policy = DiagonalGaussian(at, std.log())
+        (policy.shares(commands[None]) * losses_of_commands(values, 9.0, 0.1)).sum().backward()
         optimiser.step()
     assert float((at[0] - best).abs().max().detach()) < 0.1
 
@@ -186,6 +189,7 @@ def test_guided_training_goes_on_to_the_same_bits_and_hands_over_to_ppo(config: 
         records = [whole.iterate() for _ in range(4)]
         assert [record["curriculum/stage"] for record in records] == ["guided", "foreseen", "foreseen", "foreseen"]
         assert ["guidance/regret" in record for record in records] == [True, True, False, False]
+        assert whole.network.log_std is not None
         assert whole.network.log_std.exp().tolist() == pytest.approx(config.foresight.last_std, abs=0.01)
         first.iterate()
         save_checkpoint(tmp_path / "checkpoint", first.state_dict())
@@ -199,6 +203,30 @@ def test_guided_training_goes_on_to_the_same_bits_and_hands_over_to_ppo(config: 
             trainer.close()
 
 
+@pytest.mark.slow
+def test_a_policy_that_chooses_begins_as_it_is_while_the_critic_learns(config: TrainConfig) -> None:
+    config = dataclasses.replace(
+        config,
+        route_every_s=0.5,
+        weighs_commands=True,
+        choose_commands=True,
+        foresight=dataclasses.replace(config.foresight, critic_alone=True),
+    )
+    trainer = Trainer(config)
+    try:
+        before = {name: tensor.clone() for name, tensor in trainer.network.state_dict().items()}
+        assert "guidance/regret" in trainer.iterate()
+        after = trainer.network.state_dict()
+        changed = {name for name in before if not torch.equal(before[name], after[name])}
+        assert "critic_output.weight" in changed and not {name for name in changed if name.startswith("actor_o")}
+        trainer.iterate()
+        record = trainer.iterate()
+        assert record["ppo/first_ratio_error"] < 1e-4 and record["ppo/std_linear"] > 0
+        assert not torch.equal(before["actor_output.weight"], trainer.network.state_dict()["actor_output.weight"])
+    finally:
+        trainer.close()
+
+
 def test_guidance_lowers_the_regret_of_what_it_saw_and_goes_on_turning_where_all_is_as_good(
     config: TrainConfig,
 ) -> None:
@@ -210,7 +238,7 @@ def test_guidance_lowers_the_regret_of_what_it_saw_and_goes_on_turning_where_all
         def guided(steadiness: float) -> tuple[list[float], ActorCritic]:
             network = ActorCritic(PRESETS["compact"])
             optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
-            settings = (rollout, commands, 2, 0.1, 0.03, steadiness, trainer.ppo_config, trainer.generator)
+            settings = (rollout, commands, 2, 0.1, 0.03, steadiness, 1.0, trainer.ppo_config, trainer.generator)
             return [guide(network, optimiser, *settings).regret for _ in range(15)], network
 
         regrets, _ = guided(0.0)
@@ -219,10 +247,18 @@ def test_guidance_lowers_the_regret_of_what_it_saw_and_goes_on_turning_where_all
         rollout.command_values.zero_()
         _, network = guided(1.0)
         with torch.no_grad():
-            turn = network.mean(rollout.flat_observation())[:, 1]
+            turn = network.command(rollout.flat_observation())[:, 1]
         assert float(torch.corrcoef(torch.stack([turn, rollout.flat_observation().velocity[:, 1]]))[0, 1]) > 0.8
     finally:
         trainer.close()
+
+
+def test_who_is_not_told_what_commands_are_worth_cannot_choose_nor_imitate_who_does_not() -> None:
+    with pytest.raises(ValueError, match="choose_commands is True, expected false without weighs_commands"):
+        TrainConfig(choose_commands=True)
+    with pytest.raises(ValueError, match="none with choose_commands"):
+        teacher = dataclasses.replace(TrainConfig().imitation, teacher=Path("x"))
+        TrainConfig(route_every_s=0.5, weighs_commands=True, choose_commands=True, imitation=teacher)
 
 
 def test_what_cannot_be_foreseen_is_refused() -> None:

@@ -71,6 +71,7 @@ def test_with_normalised_values_the_size_of_rewards_does_not_matter(tiny_network
 
 def test_lasting_noise_has_the_same_size_and_lasts(tiny_network: NetworkConfig) -> None:
     network = ActorCritic(tiny_network)
+    assert network.log_std is not None
     torch.nn.init.zeros_(network.actor_output.weight)
     found = {}
     for kept in (0.0, 0.8):

@@ -53,7 +53,8 @@ def test_log_probabilities_are_those_of_the_actions_sent_unclipped(tiny_network:
     assert (np.abs(sent[..., 1]) > 0.4).any() or (sent[..., 0] < 0).any(), "the test needs draws outside the limits"
     flat = ObservationTensors(*(tensor.flatten(0, 1) for tensor in rollout.observation))
     with torch.no_grad():
-        normal = torch.distributions.Normal(network(flat).mean, network.log_std.exp())
+        policy = network(flat).policy
+        normal = torch.distributions.Normal(policy.mode, policy.std)
         expected = normal.log_prob(rollout.action.flatten(0, 1)).sum(1)
     torch.testing.assert_close(rollout.log_prob.flatten(), expected)
 
@@ -148,6 +149,7 @@ def test_learning_rate_schedules(tiny_network: NetworkConfig) -> None:
 
 def test_standard_deviations_stay_above_their_floor(tiny_network: NetworkConfig) -> None:
     network = ActorCritic(tiny_network)
+    assert network.log_std is not None
     with torch.no_grad():
         network.log_std.copy_(torch.tensor([-9.0, 0.1]))
     network.raise_std_to_floor()
@@ -174,6 +176,6 @@ def test_ppo_solves_a_toy_task(tiny_network: NetworkConfig) -> None:
     goal = torch.tensor([[1.0, 2.0], [1.0, -2.0]])
     observation = {name: torch.from_numpy(array[:2]) for name, array in PointEnv(2).observe().items()} | {"goal": goal}
     with torch.no_grad():
-        mean = network.mean(ObservationTensors(**observation))
+        mean = network.command(ObservationTensors(**observation))
     assert mean[0, 1] > 0.25 and mean[1, 1] < -0.25
     assert mean[:, 0].max() < 0.35

@@ -37,10 +37,10 @@ def test_true_people_reach_the_critic_and_not_the_actor(tiny_network: NetworkCon
     some, others = torch.rand(2, 5, 3, 6, generator=torch.Generator().manual_seed(1)).unbind()
     with torch.no_grad():
         one, other = network(observation(5), some), network(observation(5), others)
-    assert torch.equal(one.mean, other.mean)
+    assert torch.equal(one.policy.mode, other.policy.mode)
     assert (one.value - other.value).abs().min() > 1e-4
     with torch.no_grad():
-        assert torch.equal(network.mean(observation(5)), one.mean), "a robot runs it without the truth"
+        assert torch.equal(network.command(observation(5)), one.policy.mode), "a robot runs it without the truth"
     with pytest.raises(ValueError, match="people is None, expected the true people"):
         network(observation(5))
 
@@ -127,5 +127,5 @@ def test_a_network_with_a_privileged_critic_is_exported_without_it(tiny_network:
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     seen = {name: array for name, array in PointEnv(3).observe().items() if name != "worth"}
     with torch.no_grad():
-        expected = network.mean(observation(3)).numpy()
+        expected = network.command(observation(3)).numpy()
     np.testing.assert_allclose(session.run(["mean"], seen)[0], expected, atol=1e-4)

@@ -31,12 +31,12 @@ def random_observation(batch: int, scans: int = NUM_SCANS) -> Observation:
     )
 
 
-@pytest.fixture(scope="module", params=["compact", "paper", "long2018", "weighing"])
+@pytest.fixture(scope="module", params=["compact", "paper", "long2018", "weighing", "choosing"])
 def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[ActorCritic, Path]:
     torch.manual_seed(0)
-    weighs = request.param == "weighing"
+    weighs, chooses = request.param in ("weighing", "choosing"), request.param == "choosing"
     config = NetworkConfig.preset("compact" if weighs else request.param)
-    network = ActorCritic(dataclasses.replace(config, worth_features=64 if weighs else 0))
+    network = ActorCritic(dataclasses.replace(config, worth_features=64 if weighs else 0, chooses=chooses))
     torch.nn.init.orthogonal_(network.actor_output.weight, gain=2.0)
     path = tmp_path_factory.mktemp("export") / f"{request.param}.onnx"
     export_onnx(path, network, describe(network, request.param, observation={"horizon_s": 0.4}, training={"steps": 3}))
@@ -49,7 +49,7 @@ def test_onnx_agrees_with_torch(exported: tuple[ActorCritic, Path], batch: int) 
     observation = random_observation(batch)
     mean = OnnxPolicy(path)(observation)
     with torch.no_grad():
-        expected = network.mean(ObservationTensors(*map(torch.from_numpy, observation))).numpy()
+        expected = network.command(ObservationTensors(*map(torch.from_numpy, observation))).numpy()
     assert mean.dtype == np.float32 and mean.shape == (batch, 2)
     assert np.abs(expected - [0.5, 0.0]).max() > 0.05, "the test needs commands unlike a blank network's"
     np.testing.assert_allclose(mean, expected, atol=1e-4, rtol=0)
@@ -61,7 +61,10 @@ def test_the_file_says_what_it_is(exported: tuple[ActorCritic, Path]) -> None:
     assert policy.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     card = policy.card
     assert card == describe(network, path.stem, observation={"horizon_s": 0.4}, training={"steps": 3})
-    assert np.exp(card.log_std) == pytest.approx([0.4, 0.3])
+    if network.config.chooses:
+        assert card.log_std is None
+    else:
+        assert card.log_std is not None and np.exp(card.log_std) == pytest.approx([0.4, 0.3])
     assert (card.max_linear_velocity, card.max_angular_velocity) == (1.0, 0.4)
 
 
@@ -94,7 +97,7 @@ def test_safetensors_bring_back_weights_and_card(tmp_path: Path) -> None:
         assert torch.equal(tensor, again.state_dict()[name])
     assert describe(again, "p").weights_sha256 == card.weights_sha256
     with torch.no_grad():
-        again.log_std.add_(1e-6)
+        again.actor_output.bias.add_(1e-6)
     assert describe(again, "p").weights_sha256 != card.weights_sha256
 
 
@@ -150,5 +153,5 @@ def test_each_shipped_policy_is_the_same_in_both_its_forms(name: str) -> None:
     assert card == policy.card
     observation = random_observation(7, network.config.num_scans)
     with torch.no_grad():
-        expected = network.mean(ObservationTensors(*map(torch.from_numpy, observation))).numpy()
+        expected = network.command(ObservationTensors(*map(torch.from_numpy, observation))).numpy()
     np.testing.assert_allclose(policy(observation), expected, atol=1e-4, rtol=0)

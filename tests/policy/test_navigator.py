@@ -131,7 +131,9 @@ def test_its_command_is_the_networks_mean_of_the_observers_observation(path: Pat
         command = navigator.act(frame)
         observation = observer.observe(frame)
         with torch.no_grad():
-            mean = network.mean(ObservationTensors(*(torch.from_numpy(array.copy()) for array in observation))).numpy()
+            mean = network.command(
+                ObservationTensors(*(torch.from_numpy(array.copy()) for array in observation))
+            ).numpy()
         np.testing.assert_allclose(command.linear_velocity, mean[:, 0], atol=1e-4)
         np.testing.assert_allclose(command.angular_velocity, mean[:, 1], atol=1e-4)
 
@@ -172,6 +174,18 @@ def test_draws_scatter_as_the_policy_says_within_the_limits_and_follow_the_seed(
     assert median == pytest.approx(float(mean.angular_velocity[0]), abs=0.04)
     again = load_policy(path, sample=True, seed=4)
     assert float(again.act(frame).angular_velocity[0]) == draws[0]
+
+
+def test_a_policy_that_chooses_must_be_told_what_commands_are_worth_and_has_no_draws(tmp_path: Path) -> None:
+    config = dataclasses.replace(NetworkConfig.preset("compact"), worth_features=8, chooses=True)
+    chooser = ActorCritic(config)
+    export_onnx(tmp_path / "chooser.onnx", chooser, describe(chooser, "chooser"))
+    with pytest.raises(ValueError, match="weighs_commands in the card of policy 'chooser' is False, expected true"):
+        load_policy(tmp_path / "chooser.onnx")
+    weighing = dataclasses.asdict(ObserverConfig(route_every_s=0.5, weighs_commands=True))
+    export_onnx(tmp_path / "chooser.onnx", chooser, describe(chooser, "chooser", observation=weighing))
+    with pytest.raises(ValueError, match="spread of policy 'chooser' is None, expected a Gaussian's, to sample"):
+        load_policy(tmp_path / "chooser.onnx", sample=True)
 
 
 def test_frames_of_another_size_than_announced_are_refused(path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from densecavoid.networks.config_json import from_json, to_json  # noqa: E402
+from densecavoid.policy.distribution import GridChoice  # noqa: E402
 from densecavoid.policy.network import (  # noqa: E402
     PRESETS,
     ActorCritic,
@@ -35,6 +36,7 @@ def random_observation(batch: int, seed: int = 0) -> ObservationTensors:
 
 
 WEIGHING = dataclasses.replace(NetworkConfig.preset("compact"), name="weighing", worth_features=64)
+CHOOSING = dataclasses.replace(WEIGHING, name="choosing", chooses=True)
 """Is told what commands are worth."""
 
 
@@ -74,12 +76,12 @@ def test_the_papers_network_has_the_published_size() -> None:
 def test_operations_are_those_that_torch_counts() -> None:
     from torch.utils.flop_counter import FlopCounterMode
 
-    for config in (*PRESETS.values(), WEIGHING):
+    for config in (*PRESETS.values(), WEIGHING, CHOOSING):
         network = ActorCritic(config)
         network.set_patch_products(False)
         with FlopCounterMode(display=False) as counter, torch.no_grad():
             people = torch.zeros(1, config.num_people, 6) if config.people == "actor" else None
-            network.mean(random_observation(1), people)
+            network.command(random_observation(1), people)
         assert count_mflop(config) == pytest.approx(counter.get_total_flops() / 1e6, rel=1e-6), config.name
 
 
@@ -90,7 +92,8 @@ def test_the_compact_network_is_a_thirtieth_of_the_papers() -> None:
 def test_the_mean_keeps_the_robots_limits_for_every_input(network: ActorCritic) -> None:
     with torch.no_grad():
         network.actor_output.weight *= 1e4
-        mean, value = network(random_observation(32))
+        policy, value = network(random_observation(32))
+    mean = policy.mode
     assert mean.shape == (32, 2) and value.shape == (32,)
     assert mean[:, 0].min() >= 0.0 and mean[:, 0].max() <= 1.0
     assert mean[:, 1].min() >= -0.4 and mean[:, 1].max() <= 0.4
@@ -101,8 +104,30 @@ def test_one_pass_gives_what_actor_and_critic_give_alone(network: ActorCritic) -
     observation = random_observation(3)
     with torch.no_grad():
         output = network(observation)
-        torch.testing.assert_close(output.mean, network.mean(observation))
+        torch.testing.assert_close(output.policy.mode, network.command(observation))
         torch.testing.assert_close(output.value, network.value(observation))
+
+
+def test_before_it_has_learned_a_choice_is_what_is_worth_most_and_losses_count_by_the_scale() -> None:
+    torch.manual_seed(2)
+    network, observation = ActorCritic(CHOOSING), random_observation(9)
+    torch.nn.init.zeros_(network.actor_output.weight)
+    with torch.no_grad():
+        policy = network(observation).policy
+    assert isinstance(policy, GridChoice)
+    assert torch.equal(policy.mode, policy.grid[observation.worth.argmax(dim=1)])
+    assert policy.grid[:, 0].max() == 1.0 and policy.grid[:, 1].min() == pytest.approx(-0.4)
+    apart = (observation.worth[:, 3] - observation.worth[:, 8]) / CHOOSING.indifference
+    torch.testing.assert_close(policy.log_probs[:, 3] - policy.log_probs[:, 8], apart, rtol=1e-4, atol=1e-4)
+    with torch.no_grad():
+        network.actor_output.bias[8] = 1000.0
+        corrected = network(observation).policy
+    assert torch.equal(corrected.mode, policy.grid[[8] * 9])
+
+
+def test_who_is_told_nothing_cannot_choose() -> None:
+    with pytest.raises(ValueError, match="worth_features is 0, expected positive to choose"):
+        dataclasses.replace(CHOOSING, worth_features=0)
 
 
 def test_matrix_products_on_patches_agree_with_convolutions() -> None:
@@ -110,15 +135,15 @@ def test_matrix_products_on_patches_agree_with_convolutions() -> None:
     network = ActorCritic(NetworkConfig.preset("compact"))
     observation = random_observation(5)
     products = network(observation)
-    (products.mean.sum() + products.value.sum()).backward()
+    (products.policy.mode.sum() + products.value.sum()).backward()
     gradients = {
         name: parameter.grad.clone() for name, parameter in network.named_parameters() if parameter.grad is not None
     }
     network.zero_grad()
     network.set_patch_products(False)
     convolutions = network(observation)
-    (convolutions.mean.sum() + convolutions.value.sum()).backward()
-    torch.testing.assert_close(products.mean, convolutions.mean, atol=1e-6, rtol=1e-5)
+    (convolutions.policy.mode.sum() + convolutions.value.sum()).backward()
+    torch.testing.assert_close(products.policy.mode, convolutions.policy.mode, atol=1e-6, rtol=1e-5)
     torch.testing.assert_close(products.value, convolutions.value, atol=1e-5, rtol=1e-5)
     for name, parameter in network.named_parameters():
         if parameter.grad is not None:
@@ -129,9 +154,9 @@ def test_every_part_of_the_observation_matters(network: ActorCritic) -> None:
     torch.nn.init.orthogonal_(network.actor_output.weight)
     one, other = random_observation(4, seed=1), random_observation(4, seed=2)
     with torch.no_grad():
-        before = network.mean(one)
+        before = network.command(one)
         for name in ObservationTensors._fields:
-            after = network.mean(one._replace(**{name: getattr(other, name)}))
+            after = network.command(one._replace(**{name: getattr(other, name)}))
             seen = name != "worth" or network.config.worth_features > 0
             assert ((after - before).abs().max() > 1e-4) == seen, name
 
@@ -159,8 +184,8 @@ def test_bfloat16_branches_stay_close_to_float32(network: ActorCritic) -> None:
         exact = network(observation)
         network.set_compute_dtype(torch.bfloat16)
         rounded = network(observation)
-    assert rounded.mean.dtype == torch.float32
-    torch.testing.assert_close(rounded.mean, exact.mean, atol=0.01, rtol=0)
+    assert rounded.policy.mode.dtype == torch.float32
+    torch.testing.assert_close(rounded.policy.mode, exact.policy.mode, atol=0.01, rtol=0)
     torch.testing.assert_close(rounded.value, exact.value, atol=0.1, rtol=0.05)
 
 

@@ -129,7 +129,7 @@ def test_observations_give_torchs_commands(folder: Path) -> None:
         assert pilot.observation is not None and step.fault == ""
         with torch.no_grad():
             tensors = ObservationTensors(*(torch.from_numpy(array.copy()) for array in pilot.observation))
-            mean = network.mean(tensors).numpy()[0]
+            mean = network.command(tensors).numpy()[0]
         np.testing.assert_allclose(step.asked, np.clip(mean, [0.0, -0.4], [1.0, 0.4]), atol=1e-4)
 
 

@@ -22,7 +22,6 @@ from torch import Tensor
 from densecavoid.frames import Observation, require
 from densecavoid.learning.peers import Peers
 from densecavoid.learning.rollout import Episodes, Rollout
-from densecavoid.policy.distribution import DiagonalGaussian
 from densecavoid.policy.network import ActorCritic, ObservationTensors
 from densecavoid.policy.sensors import mask_observation
 
@@ -229,14 +228,13 @@ class Collector:
             rollout.command_values[t, part].copy_(torch.from_numpy(seen.command_values))
         observation = ObservationTensors(*(stored[t, part] for stored in rollout.observation))
         output = network(observation, people)
-        policy = DiagonalGaussian(output.mean, network.log_std)
-        action = policy.at(noise)
+        action = output.policy.at(noise)
         if teacher is not None and rollout.teacher_mean is not None:
-            shown = teacher.network.mean(observation, people)
+            shown = teacher.network.command(observation, people)
             rollout.teacher_mean[t, part] = shown
             action = torch.where(driven[:, None], shown, action)
         rollout.action[t, part] = action
-        rollout.log_prob[t, part] = policy.log_prob(action)
+        rollout.log_prob[t, part] = output.policy.log_prob(action)
         rollout.value[t, part] = output.value
         return action.cpu().numpy()
 

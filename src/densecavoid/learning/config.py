@@ -90,6 +90,9 @@ class TrainConfig:
     weighs_commands: bool = False
     """Tell the policy what commands would be worth in what is known around, if people walk on as they do; needs
     `route_every_s` (`ObserverConfig`)."""
+    choose_commands: bool = False
+    """Let the policy choose among the 25 commands that it is told the worth of (`weighs_commands`): at first what is
+    worth most is the likeliest, and learning corrects that. Otherwise it is a Gaussian around a mean."""
     prediction_horizon_s: float = 0.8
     """How far ahead the prediction frame looks."""
     people_from: Literal["boxes", "truth"] = "boxes"
@@ -125,6 +128,18 @@ class TrainConfig:
             "TrainConfig.weighs_commands",
             self.weighs_commands,
             "false without route_every_s: commands are weighed by the ways that it finds",
+        )
+        require(
+            not self.choose_commands or self.weighs_commands,
+            "TrainConfig.choose_commands",
+            self.choose_commands,
+            "false without weighs_commands",
+        )
+        require(
+            not (self.choose_commands and self.imitation.teacher is not None),
+            "TrainConfig.imitation.teacher",
+            self.imitation.teacher,
+            "none with choose_commands: a teacher's commands lie between those of the grid",
         )
         foreseen = self.foresight.steps > 0
         require(
@@ -177,6 +192,7 @@ class TrainConfig:
             config.with_robot(robot.max_linear_velocity, robot.max_angular_velocity),
             num_scans=NUM_SCANS + len(self.foretold_s),
             worth_features=64 if self.weighs_commands else 0,
+            chooses=self.choose_commands,
             normalise_inputs=self.normalise_inputs or config.normalise_inputs,
             normalise_values=self.normalise_values or config.normalise_values,
         )

@@ -41,6 +41,8 @@ class ForesightConfig:
     steps: int = 0
     """Environment steps for which the policy learns directly what each command is worth, before PPO; 0: not guided, the
     paper's reward and curriculum."""
+    critic_alone: bool = False
+    """In these steps the critic alone learns, as is right for a policy that begins well (`choose_commands`)."""
     worlds: int = 320
     """How many are held at once."""
     memory_mb: int = 3_500

@@ -16,7 +16,7 @@ from torch import Tensor
 from densecavoid.frames import require
 from densecavoid.learning.mirror import mirror_action, mirror_observation, mirror_people
 from densecavoid.learning.peers import Peers
-from densecavoid.learning.ppo import PPOConfig, learning_rate_of
+from densecavoid.learning.ppo import PPOConfig
 from densecavoid.learning.rollout import Rollout
 from densecavoid.learning.shuffling import Minibatch
 from densecavoid.learning.supervised import supervise
@@ -51,24 +51,6 @@ def losses_of_commands(values: Float[Tensor, "B C"], serious: float, evenness: f
     return lost / (evenness + lost.amax(dim=1, keepdim=True))
 
 
-def expected_loss(
-    mean: Float[Tensor, "B 2"],
-    std: Float[Tensor, "2"],
-    commands: Float[Tensor, "#B C 2"],
-    losses: Float[Tensor, "B C"],
-) -> Float[Tensor, "B"]:
-    """What a Gaussian policy loses whose commands are taken as the grid's: the probability of each is the density
-    there, all together being 1.
-
-    Args:
-        mean, std: of the policy.
-        commands: the grid.
-        losses: of each of its commands.
-    """
-    apart = (commands - mean[:, None]) / std
-    return (torch.softmax(-0.5 * apart.square().sum(dim=2), dim=1) * losses).sum(dim=1)
-
-
 def guide(
     network: ActorCritic,
     optimiser: torch.optim.Adam,
@@ -78,14 +60,15 @@ def guide(
     serious: float,
     evenness: float,
     steadiness: float,
+    weight: float,
     config: PPOConfig,
     generator: torch.Generator,
     peers: Peers = Peers(),  # noqa: B008
 ) -> GuidanceStatistics:
-    """Moves the policy's mean towards what is worth more, and the critic towards the returns.
+    """Makes the policy likelier to do what is worth more, and moves the critic towards the returns.
 
     Args:
-        network: changed in place; its standard deviation stays.
+        network: changed in place; the standard deviation of a Gaussian policy stays.
         optimiser: over the network's parameters.
         rollout: collected in worlds that tell what `commands` are worth.
         commands: the grid of the rollout's `command_values`.
@@ -93,6 +76,7 @@ def guide(
         serious, evenness: as in `losses_of_commands`.
         steadiness: what it counts to turn at full speed one way when the robot turns so the other way. Where both ways
             are as good, the policy goes on as it began instead of dithering.
+        weight: of what the policy loses, beside the critic's error; with 0 the critic alone learns.
         config: of it, the critic's settings, minibatches and gradient norm.
         generator, peers: as in `ppo.update`.
 
@@ -101,7 +85,7 @@ def guide(
     """
     require(rollout.command_values is not None, "Rollout.command_values", None, "a rollout in foreseen worlds")
     assert rollout.command_values is not None
-    worth, std = rollout.command_values.flatten(0, 1), network.log_std.detach().exp()
+    worth = rollout.command_values.flatten(0, 1)
     everything = torch.ones(len(commands), dtype=torch.bool, device=commands.device)
     mirrored = mirror_action(commands, everything)
 
@@ -116,7 +100,8 @@ def guide(
         output = network(seen, people)
         losses = losses_of_commands(worth[batch.own], serious, evenness)
         changed = (grid[..., 1] - seen.velocity[:, None, 1]).abs() / (commands[:, 1].max() - commands[:, 1].min())
-        return output, expected_loss(output.mean, std, grid, losses + steadiness * changed)
+        return output, (output.policy.shares(grid) * (losses + steadiness * changed)).sum(dim=1)
 
-    figures = supervise(network, optimiser, rollout, config, epochs, 1.0, regret, generator, peers, "guidance")
-    return GuidanceStatistics(*figures, learning_rate_of(optimiser), *std.tolist())
+    return GuidanceStatistics(
+        *supervise(network, optimiser, rollout, config, epochs, weight, regret, generator, peers, "guidance")
+    )

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from densecavoid.frames import require
 from densecavoid.learning.peers import Peers
-from densecavoid.learning.ppo import PPOConfig, learning_rate_of
+from densecavoid.learning.ppo import PPOConfig
 from densecavoid.learning.rollout import Rollout
 from densecavoid.learning.shuffling import Minibatch
 from densecavoid.learning.supervised import supervise
@@ -89,10 +89,8 @@ def imitate(
         batch: Minibatch, seen: ObservationTensors, people: Tensor | None
     ) -> tuple[PolicyOutput, Float[Tensor, "n"]]:
         output = network(seen, people)
-        return output, ((output.mean - shown[batch.own]) / network.limits).square().mean(dim=1)
+        return output, ((output.policy.mode - shown[batch.own]) / network.limits).square().mean(dim=1)
 
-    figures = supervise(
-        network, optimiser, rollout, config, config.epochs, weight, apart, generator, peers, "imitation"
+    return ImitationStatistics(
+        *supervise(network, optimiser, rollout, config, config.epochs, weight, apart, generator, peers, "imitation")
     )
-    linear, angular = network.log_std.detach().exp().tolist()
-    return ImitationStatistics(*figures, learning_rate_of(optimiser), linear, angular)

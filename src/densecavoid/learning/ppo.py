@@ -19,7 +19,6 @@ from densecavoid.learning.mirror import mirror_action, mirror_observation, mirro
 from densecavoid.learning.peers import Peers
 from densecavoid.learning.rollout import Rollout, take
 from densecavoid.learning.shuffling import minibatches
-from densecavoid.policy.distribution import DiagonalGaussian
 from densecavoid.policy.network import ActorCritic
 
 LEARNING_RATE_SCHEDULES = ("fixed", "linear", "adaptive")
@@ -99,7 +98,7 @@ class UpdateStatistics:
     stopped_early: bool
     learning_rate: float
     std_linear: float
-    """m/s"""
+    """m/s, in the last minibatch"""
     std_angular: float
     """rad/s"""
 
@@ -165,7 +164,7 @@ def update(
         set_learning_rate(optimiser, config.learning_rate * max(0.0, 1.0 - progress))
 
     parameters = list(network.parameters())
-    totals = torch.zeros(4, device=actions.device)
+    totals, last_std = torch.zeros(5, device=actions.device), [math.nan, math.nan]
     gradient_steps, stopped, kl, first_ratio_error = 0, False, 0.0, 0.0
     for index, size, other_half in minibatches(rollout, config.epochs, config.minibatch_size, generator, peers):
         advantage = flat_advantages[index]
@@ -178,29 +177,31 @@ def update(
             seen, done, as_it_was = mirror_observation(seen, other_half), mirror_action(done, other_half), ~other_half
             people = None if people is None else mirror_people(people, other_half)
         output = network(seen, people)
-        policy = DiagonalGaussian(output.mean, network.log_std)
+        policy = output.policy
         losses_policy, ratio = policy_loss(policy.log_prob(done), old_log_probs[index], advantage, config.clip)
         losses_value = value_loss(
             output.value / unit, old_values[index] / unit, flat_returns[index] / unit, config.value_clip
         )
         # Means over the minibatch of all processes: their gradients add up to the one of a single process.
         loss_policy, loss_value = losses_policy.sum() / size, losses_value.sum() / size
-        entropy = policy.entropy()
-        loss = loss_policy + config.value_weight * loss_value - config.entropy_weight * entropy / peers.count
+        entropy = policy.entropy() * (len(done) / size)
+        loss = loss_policy + config.value_weight * loss_value - config.entropy_weight * entropy
 
         with torch.no_grad():
             kept = ratio[as_it_was]
             away = (kept - 1.0).abs()
             sums = [(kept - 1.0 - kept.log()).sum(), (away > config.clip).sum(), as_it_was.sum()]
-            figures = peers.sum(torch.stack([loss_policy, loss_value, loss, *(each.float() for each in sums)]))
-            figures[3:5] /= figures[5].clamp(min=1.0)
+            std = policy.std * (len(done) / size)
+            means = [loss_policy, loss_value, loss, entropy, *std]
+            figures = peers.sum(torch.stack([*means, *(each.float() for each in sums)]))
+            figures[6:8] /= figures[8].clamp(min=1.0)
             if gradient_steps == 0 and len(away) > 0:
                 first_ratio_error = float(away.max())
-        *parts, total, kl, _, _ = figures.tolist()
+        of_policy, of_value, total, _, *last_std, kl, _, _ = figures.tolist()
         if not math.isfinite(total):
             raise TrainingDivergedError(
-                f"the loss is {total} (policy {parts[0]}, value {parts[1]}, KL {kl}) at gradient step {gradient_steps} "
-                "of the update"
+                f"the loss is {total} (policy {of_policy}, value {of_value}, KL {kl}) at gradient step "
+                f"{gradient_steps} of the update"
             )
         if config.target_kl > 0 and kl > 1.5 * config.target_kl:
             stopped = True
@@ -209,26 +210,25 @@ def update(
         norm = step(optimiser, loss, parameters, config.max_gradient_norm, peers)
         network.raise_std_to_floor()
         gradient_steps += 1
-        totals += torch.stack([figures[0], figures[1], figures[4], norm])
+        totals += torch.stack([figures[0], figures[1], figures[3], figures[7], norm])
 
     if config.schedule == "adaptive":
         set_learning_rate(optimiser, adapted_learning_rate(learning_rate_of(optimiser), kl, config.target_kl))
     means = (totals / max(1, gradient_steps)).tolist()
-    std = network.log_std.detach().exp().tolist()
     return UpdateStatistics(
         policy_loss=means[0],
         value_loss=means[1],
-        entropy=float(DiagonalGaussian(rollout.action[0], network.log_std.detach()).entropy()),
+        entropy=means[2],
         kl=kl,
-        clip_fraction=means[2],
-        gradient_norm=means[3],
+        clip_fraction=means[3],
+        gradient_norm=means[4],
         explained_variance=explained,
         first_ratio_error=first_ratio_error,
         gradient_steps=gradient_steps,
         stopped_early=stopped,
         learning_rate=learning_rate_of(optimiser),
-        std_linear=std[0],
-        std_angular=std[1],
+        std_linear=last_std[0],
+        std_angular=last_std[1],
     )
 
 

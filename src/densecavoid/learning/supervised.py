@@ -16,6 +16,7 @@ from densecavoid.learning.ppo import (
     PPOConfig,
     TrainingDivergedError,
     judged,
+    learning_rate_of,
     step,
     unit_of_values,
     value_loss,
@@ -41,7 +42,7 @@ def supervise(
     generator: torch.Generator,
     peers: Peers,
     what: str,
-) -> tuple[float, float, int]:
+) -> tuple[float, float, int, float, float, float]:
     """Passes over a rollout, down the gradient of `lose` and of the critic's error.
 
     Args:
@@ -53,7 +54,8 @@ def supervise(
         what: this is, for errors.
 
     Returns:
-        Means over the minibatches of both losses, and how many there were.
+        Means over the minibatches of both losses, how many there were, the learning rate, and the policy's standard
+        deviations (m/s, rad/s) in the last.
 
     Raises:
         TrainingDivergedError, PeerLostError: as `ppo.update`.
@@ -62,17 +64,18 @@ def supervise(
     flat_returns, old_values = returns.flatten(), rollout.value.flatten()
     observations, parameters = rollout.flat_observation(), list(network.parameters())
     unit = unit_of_values(network, flat_returns, peers)
-    totals, gradient_steps = torch.zeros(2, device=flat_returns.device), 0
+    totals, figures, gradient_steps = torch.zeros(2, device=flat_returns.device), torch.zeros(4), 0
     for batch in minibatches(rollout, epochs, config.minibatch_size, generator, peers):
         index, size, _ = batch
         output, losses = lose(batch, *take(observations, rollout.people, index))
         shown = losses.sum() / size
         wrong = value_loss(output.value / unit, old_values[index] / unit, flat_returns[index] / unit, 0.0).sum() / size
-        figures = peers.sum(torch.stack([shown.detach(), wrong.detach()]))
+        std = output.policy.std * (len(losses) / size)
+        figures = peers.sum(torch.stack([shown, wrong, *std]).detach())
         if not math.isfinite(float(figures.sum())):
-            raise TrainingDivergedError(f"the losses of {what} and critic are {figures.tolist()}")
+            raise TrainingDivergedError(f"the losses of {what} and critic are {figures[:2].tolist()}")
         step(optimiser, weight * shown + config.value_weight * wrong, parameters, config.max_gradient_norm, peers)
-        totals += figures
+        totals += figures[:2]
         gradient_steps += 1
     means = (totals / gradient_steps).tolist()
-    return means[0], means[1], gradient_steps
+    return means[0], means[1], gradient_steps, learning_rate_of(optimiser), *figures[2:].tolist()

@@ -266,6 +266,7 @@ class Trainer:
                 foresight.serious,
                 foresight.evenness,
                 foresight.steadiness,
+                0.0 if foresight.critic_alone else 1.0,
                 config,
                 self.generator,
                 self.peers,

@@ -26,8 +26,8 @@ class PolicyCard:
     """`NetworkConfig`, as JSON."""
     observation: dict[str, Any]
     """`ObserverConfig`, as JSON: sensors' geometry and prediction horizon. Empty: the defaults."""
-    log_std: tuple[float, float]
-    """Natural logarithm of the standard deviations of v (m/s) and w (rad/s)."""
+    log_std: tuple[float, float] | None
+    """Natural logarithm of the standard deviations of v (m/s) and w (rad/s); none if it chooses among commands."""
     max_linear_velocity: float
     """m/s"""
     max_angular_velocity: float

@@ -27,13 +27,16 @@ def describe(
     training: dict[str, Any] | None = None,
 ) -> PolicyCard:
     """The card of a network's present weights; the arguments are fields of `PolicyCard`."""
-    linear, angular = network.log_std.detach().cpu().tolist()
+    log_std = None
+    if network.log_std is not None:
+        linear, angular = network.log_std.detach().cpu().tolist()
+        log_std = linear, angular
     return PolicyCard(
         name=name,
         sensors=sensors,
         network=_json_form(dataclasses.asdict(network.config)),
         observation=_json_form(observation or {}),
-        log_std=(linear, angular),
+        log_std=log_std,
         max_linear_velocity=network.config.max_linear_velocity,
         max_angular_velocity=network.config.max_angular_velocity,
         weights_sha256=weights_sha256(network),
@@ -74,7 +77,7 @@ def load_safetensors(path: Path) -> tuple[ActorCritic, PolicyCard]:
     return build(lambda: ActorCritic(config), tensors, path), card
 
 
-class _Mean(nn.Module):
+class _Command(nn.Module):
     """The part of the network that a robot runs, with one argument an input, as the exporter wants it."""
 
     def __init__(self, network: ActorCritic) -> None:
@@ -91,16 +94,16 @@ class _Mean(nn.Module):
         worth: Tensor | None = None,
     ) -> Tensor:
         worth = goal.new_zeros(0) if worth is None else worth
-        return self.network.mean(ObservationTensors(lidar, camera, goal, velocity, prediction, worth))
+        return self.network.command(ObservationTensors(lidar, camera, goal, velocity, prediction, worth))
 
 
 def export_onnx(path: Path, network: ActorCritic, card: PolicyCard) -> None:
-    """Writes one graph: the arrays of an observation, any batch size, to `mean` [B, 2] (v m/s, w rad/s). What commands
-    are worth is among them where the network looks at it.
+    """Writes one graph: the arrays of an observation, any batch size, to `mean` [B, 2] (v m/s, w rad/s): the Gaussian's
+    mean, or the likeliest of the grid's commands. What commands are worth is an input where the network looks at it.
 
     The branches are exported in float32 and as convolutions, whatever they were trained as.
     """
-    module = _Mean(copy.deepcopy(network).cpu().eval())
+    module = _Command(copy.deepcopy(network).cpu().eval())
     module.network.set_compute_dtype(torch.float32)
     module.network.set_patch_products(False)
     example = _example_observation(network.config, batch=2)._asdict()

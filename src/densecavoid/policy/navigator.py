@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import Command, Observation, RobotConfig, SensorFrame
+from densecavoid.frames import Command, Observation, RobotConfig, SensorFrame, require
 from densecavoid.networks.config_json import from_dict
 from densecavoid.perception.config import PeopleFrom
 from densecavoid.perception.networks import PeopleNetworks
@@ -53,19 +53,29 @@ class PolicyNavigator:
             policy: what acts; its file says how observations are made.
             people_from: where people's places come from, whatever it was in training: the robot's own sensors, or, to
                 compare with, ground truth. Policies that do not see the prediction frame need none.
-            sample: draw around the mean, as in the paper's equation, instead of acting with the mean.
+            sample: draw around the mean, as in the paper's equation, instead of acting with the mean. Only with
+                Gaussian policies.
             seed: of the draws.
             num_worlds: batch size until the first `reset`.
             networks: who finds and foresees people.
             robot: whom it drives; the robot of its training unless given. A policy that is told what commands are
                 worth (`ObserverConfig.weighs_commands`) is told it for this robot's limits, where they are lower, and
                 velocities mean the same shares of them. Other policies' commands are cut.
+
+        Raises:
+            ValueError: for a policy whose file contradicts itself, and where no draws can be made.
         """
         self.policy = policy
         uses_people = policy.card.sensors == "densecavoid"
         self.people_from: PeopleFrom = people_from if uses_people else "nothing"
         self.name = policy.card.name + (f":{people_from}" if uses_people and people_from != "detector" else "")
         self._observer_config = read_observer_config(policy.card.observation, self.people_from)
+        require(
+            self._observer_config.weighs_commands or not policy.card.network.get("worth_features"),
+            f"weighs_commands in the card of policy {policy.card.name!r}",
+            False,
+            "true: its network looks at what commands are worth",
+        )
         trained = np.array([policy.card.max_linear_velocity, policy.card.max_angular_velocity], np.float32)
         self._limits, self._shares = trained, np.ones(2, np.float32)
         if robot is not None:
@@ -81,7 +91,13 @@ class PolicyNavigator:
         self._num_worlds = num_worlds
         self.observation: Observation | None = None
         """What it acted on last, in buffers that the next act writes again."""
-        self._std = np.exp(np.array(policy.card.log_std, np.float32)) if sample else None
+        self._std = None
+        if sample:
+            log_std = policy.card.log_std
+            require(
+                log_std is not None, f"the spread of policy {policy.card.name!r}", log_std, "a Gaussian's, to sample"
+            )
+            self._std = np.exp(np.array(log_std, np.float32))
         self._rng = np.random.default_rng(seed)
 
     @property

@@ -82,6 +82,10 @@ class NetworkConfig:
     worth_features: int = 0
     """Size of the fully connected layer behind what commands are worth (`ObserverConfig.weighs_commands`); 0: it is
     not looked at."""
+    chooses: bool = False
+    """Whether the policy chooses among `COMMAND_GRID`, knowing what each is worth, or is a Gaussian around a mean."""
+    indifference: float = 0.003
+    """By so much less worth a command is e times less likely to be chosen, before the network corrects that."""
     num_rays: int = 512
     image_size: tuple[int, int] = (60, 80)
     """Height and width of depth image and prediction frame, pixels."""
@@ -111,6 +115,8 @@ class NetworkConfig:
             require(getattr(self, name) > 0, f"NetworkConfig.{name}", getattr(self, name), "positive")
         require(self.num_scans >= NUM_SCANS, "NetworkConfig.num_scans", self.num_scans, f"at least {NUM_SCANS}")
         require(self.worth_features >= 0, "NetworkConfig.worth_features", self.worth_features, "0 or more")
+        require(not self.chooses or self.worth_features > 0, "NetworkConfig.worth_features", 0, "positive to choose")
+        require(self.indifference > 0, "NetworkConfig.indifference", self.indifference, "positive")
         for name in ("num_people", "people_features"):
             require(getattr(self, name) > 0, f"NetworkConfig.{name}", getattr(self, name), "positive")
         choose("NetworkConfig.people", self.people, ("unseen", "critic", "actor"))
@@ -248,4 +254,5 @@ def count_mflop(config: NetworkConfig) -> float:
         width = config.people_features
         operations += 2 * config.num_people * width * (PERSON_NUMBERS + width)
         joined += width
-    return (operations + 2 * joined * config.head_features + 2 * config.head_features * 2) / 1e6
+    outputs = len(COMMAND_GRID) if config.chooses else 2
+    return (operations + 2 * config.head_features * (joined + outputs)) / 1e6
