@@ -97,23 +97,33 @@ OBSERVED = OutlookConfig(horizon_s=5.5, hold_s=0.5, cell_m=0.15)
 than the best of the finer one, in the eyes of that."""
 
 
+_PARTS = 4
+"""Of a moment, in which a command that is held now must not come too near: so it cuts no corners."""
+
+
 @cache
 def make_lattice(
     horizon_s: float, hold_s: float, cell_m: float, max_linear: float, max_angular: float
-) -> tuple[Lattice, Float64[np.ndarray, "K 2"]]:
-    """Where a robot with these limits can be in the next moments, and the commands that it chooses among now."""
+) -> tuple[Lattice, Float64[np.ndarray, "K 2"], Float64[np.ndarray, "K S 3"]]:
+    """Where a robot with these limits can be in the next moments, the commands that it chooses among now, and the poses
+    on the way of each while it is held (m, m, rad)."""
     moments = round(horizon_s / hold_s)
     steps = steps_of_moments(max_linear, max_angular, hold_s, cell_m)
     headings = len(steps)
     cells = np.floor(steps[..., :2])
     u, v = np.moveaxis(steps[..., :2] - cells, -1, 0)
     weights = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=-1).astype(np.float32)
+    halfway = np.rint(0.5 * steps[..., :2]).astype(np.int64)
     offsets = np.concatenate([cells, steps[..., 2:]], axis=-1).astype(np.int64)
     # A window that nothing can leave; then what of it is never needed is cut off.
     half = math.ceil(max_linear * hold_s * moments / cell_m) + moments + 3
     commands = COMMAND_GRID * [max_linear, max_angular]
-    after = steps_of_commands(np.column_stack([commands, np.zeros(len(commands))]), 1, hold_s, cell_m)[0]
-    place = np.floor(after[:, :2] - 0.5).astype(np.int64) + half
+    held_s = hold_s * np.arange(1, _PARTS + 1) / _PARTS
+    held = [steps_of_commands(np.insert(commands, 2, 0.0, axis=1), 1, time_s, cell_m)[0, :, :2] for time_s in held_s]
+    path = np.concatenate([cell_m * np.stack(held, axis=1), (commands[:, 1:] * held_s)[..., None]], axis=2)
+    # The robot is in the middle of a cell: to stand still leads to the very state that it is in. Between cells it would
+    # lead to several at once, of which each then does what is best there: that seems better than anything done now.
+    place = np.floor(held[-1]).astype(np.int64) + half
     turned = np.floor(commands[:, 1] * hold_s / (2.0 * math.pi) * headings).astype(np.int64)
     firsts = [(int(h + more) % headings, *at) for at, h in zip(place, turned, strict=True) for more in range(2)]
     spans = np.zeros((moments + 1, headings, 2 * half, 2), np.int32)
@@ -122,14 +132,14 @@ def make_lattice(
     rows = np.flatnonzero(used.any(axis=(0, 1)))
     first_i, first_j = int(rows[0]), int(spans[..., 0][used].min())
     spans = np.where(used[..., None], spans - first_j, 0)[:, :, first_i : rows[-1] + 1]
-    x0, y0 = (first_i - half) * cell_m, (first_j - half) * cell_m
+    x0, y0 = (first_i - half - 0.5) * cell_m, (first_j - half - 0.5) * cell_m
     boxes = np.zeros((moments + 1, 4), np.int64)
     for box, reached in zip(boxes[1:], spans[1:], strict=True):
         some = np.flatnonzero((reached[..., 0] < reached[..., 1]).any(axis=0))
         empty = reached[..., 0] == reached[..., 1]
         box[:] = some[0], some[-1] + 1, np.where(empty, 2 * half, reached[..., 0]).min(), reached[..., 1].max()
     spans = np.ascontiguousarray(spans, np.int32)
-    return Lattice(x0, y0, offsets, weights, int(spans.max()), boxes, spans), commands
+    return Lattice(x0, y0, offsets, weights, halfway, int(spans.max()), boxes, spans), commands, path
 
 
 class Outlook:
@@ -144,7 +154,7 @@ class Outlook:
         """
         self._threads = threads
         limits = float(robot.max_linear_velocity), float(robot.max_angular_velocity)
-        self._lattice, self.commands = make_lattice(config.horizon_s, config.hold_s, config.cell_m, *limits)
+        self._lattice, self.commands, self._path = make_lattice(config.horizon_s, config.hold_s, config.cell_m, *limits)
         self._room: Room | None = None  # of the size that looks have asked for
         self._rules = Rules(
             cell_m=config.cell_m,
@@ -173,5 +183,5 @@ class Outlook:
         wide = min(len(which), SIDE_BY_SIDE)
         if self._room is None or len(self._room.ground) < threads or self._room.ground.shape[1] < wide:
             self._room = make_room(self._lattice, threads, wide)
-        args = self._room, which, around, self._lattice, self.commands, self._rules, out
+        args = self._room, which, around, self._lattice, self._path, self._rules, out
         for_worlds(worth_of_commands, threads, threads, threads, *args)

@@ -13,10 +13,10 @@ import numpy as np
 
 from densecavoid.perception.ways import raise_around
 from densecavoid.sim._jit import inner, kernel
-from densecavoid.sim.robot import drive
 
 _TAKEN = np.float32(1e3)
 SIDE_BY_SIDE = 8  # worlds that are reckoned together: then loops are long enough, and values not yet out of the cache
+_BESIDE_PERSON_M, _BESIDE_THING_M = 0.1, 0.02  # so far beyond a collision a command that is held begins to cost
 _FARTHEST_M = 20.0  # a longer way counts so much: discounted, nothing is worth anything to who has far to go
 _TURNED_ROUND = 0.6  # share of the time to turn on the spot that heading elsewhere costs: robots drive on as they turn
 
@@ -66,6 +66,7 @@ class Lattice(NamedTuple):
     y0: float
     offsets: np.ndarray  # i64 [H, C, 3] cells along x and y that a held command leads to from each heading, the heading
     weights: np.ndarray  # f32 [H, C, 4] of that cell and of its neighbours ahead
+    halfway: np.ndarray  # i64 [H, C, 2] cells along x and y that it passes on the way there
     size_y: int  # cells along y
     boxes: np.ndarray  # i64 [M + 1, 4] first and last (excluded) cells along x, and along y, of all headings
     spans: np.ndarray  # i32 [M + 1, H, X, 2] first and last (excluded) cells along y that it can be in after a moment
@@ -220,7 +221,7 @@ def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, latt
         following: a moment later.
         best, total: f32 [Y * many] room to work.
         cost: f32 [X, Y * many] of being in a cell then.
-        kept: f32 [X, Y * many] what is left of a cell's value because things are near.
+        kept: f32 [X, Y * many] what is left of a cell's value because things are near; 0 where one is.
         is_goal: bool [X, Y * many].
         many: worlds side by side.
     """
@@ -240,6 +241,7 @@ def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, latt
             for c in range(commands):
                 at_i, at_n = i + lattice.offsets[h, c, 0], first + lattice.offsets[h, c, 1] * many
                 later = following[lattice.offsets[h, c, 2]]
+                passed = kept[i + lattice.halfway[h, c, 0], first + lattice.halfway[h, c, 1] * many :]
                 w00, w01 = lattice.weights[h, c, 0], lattice.weights[h, c, 1]
                 w10, w11 = lattice.weights[h, c, 2], lattice.weights[h, c, 3]
                 # Slices that begin at 0: the loop over them is one of vectors.
@@ -253,6 +255,7 @@ def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, latt
                     near_on, far, far_on = later[at_i, on:], later[at_i + 1, at_n:], later[at_i + 1, on:]
                     for n in range(size):
                         value = w00 * near[n] + w01 * near_on[n] + w10 * far[n] + w11 * far_on[n]
+                        value = value if passed[n] > np.float32(0.0) else collision
                         best[n] = max(best[n], value)
                         total[n] += value
             row, row_cost, row_goal = now[h, i, first:], cost[i, first:], is_goal[i, first:]
@@ -264,15 +267,35 @@ def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, latt
 
 
 @inner
-def _too_near(x, y, time_s, b, around, rules):
-    """What it costs to be at a place then: up to what a collision does, from a tenth of a metre beyond one."""
+def _nearest_things(nearest2, around, b, path, reach):
+    """Writes how near, squared, each held command's path [K, S, 3] comes to things, where that is less than `reach`."""
+    for c in range(path.shape[0]):
+        nearest2[c] = reach * reach
+    farthest = reach
+    for c in range(path.shape[0]):
+        farthest = max(farthest, reach + math.hypot(path[c, -1, 0], path[c, -1, 1]))
+    for n in range(around.num_points[b]):
+        x, y = around.points[b, n, 0], around.points[b, n, 1]
+        if x * x + y * y < farthest * farthest:
+            for c in range(path.shape[0]):
+                for s in range(path.shape[1]):
+                    off_x, off_y = path[c, s, 0] - x, path[c, s, 1] - y
+                    nearest2[c] = min(nearest2[c], off_x * off_x + off_y * off_y)
+
+
+@inner
+def _too_near_people(path, b, around, rules):
+    """What it costs to hold a command, whose path [S, 3] is given, among people: up to what a collision does, from
+    `_BESIDE_PERSON_M` beyond one."""
     worst = 0.0
-    for p in range(around.there.shape[1]):
-        if around.there[b, p]:
-            off_x = around.pos[b, p, 0] + time_s * around.vel[b, p, 0] - x
-            off_y = around.pos[b, p, 1] + time_s * around.vel[b, p, 1] - y
-            free = math.sqrt(off_x * off_x + off_y * off_y) - around.radius[b, p] - rules.body_m
-            worst = max(worst, 1.0 - free / 0.1)
+    for s in range(path.shape[0]):
+        time_s = rules.hold_s * (s + 1) / path.shape[0]
+        for p in range(around.there.shape[1]):
+            if around.there[b, p]:
+                off_x = around.pos[b, p, 0] + time_s * around.vel[b, p, 0] - path[s, 0]
+                off_y = around.pos[b, p, 1] + time_s * around.vel[b, p, 1] - path[s, 1]
+                free = math.sqrt(off_x * off_x + off_y * off_y) - around.radius[b, p] - rules.body_m
+                worst = max(worst, 1.0 - free / _BESIDE_PERSON_M)
     return -rules.collision * min(worst, 1.0)
 
 
@@ -299,7 +322,9 @@ def _mark_ground(ground, kept, is_goal, around, b, lattice, rules):
         for j in range(ground.shape[1]):
             if is_goal[i, j]:  # whoever sets a goal beside things means it; people who stand there are another matter
                 ground[i, j] = 0.0
-            elif 0.0 < ground[i, j] < _TAKEN:
+            elif ground[i, j] >= _TAKEN:
+                kept[i, j] = 0.0
+            elif ground[i, j] > 0.0:
                 kept[i, j] = math.exp(math.log(rules.discount) * ground[i, j])
                 ground[i, j] = 0.0
 
@@ -331,17 +356,16 @@ def _mark_moment(cost, scratch, ground, k, around, b, lattice, rules):
 
 
 @inner
-def _weigh(out, following, around, b, lattice, commands, rules, pose, one, many):
-    """What holding each command for a moment leads to, of the values after it."""
-    headings, cell = following.shape[0], rules.cell_m
-    for c in range(commands.shape[0]):
-        pose[0] = pose[1] = pose[2] = 0.0
-        lost = 0.0
-        for half in range(1, 3):
-            drive(pose, commands[c, 0], commands[c, 1], 0.5 * rules.hold_s)
-            lost = max(lost, _too_near(pose[0], pose[1], 0.5 * half * rules.hold_s, b, around, rules))
-        u, v = (pose[0] - lattice.x0) / cell - 0.5, (pose[1] - lattice.y0) / cell - 0.5
-        i, j, turn = int(u), int(v), pose[2] / (2.0 * math.pi) * headings
+def _weigh(out, following, around, b, lattice, path, rules, one, many):
+    """What holding each command for a moment leads to, of the values after it, less what is too near on the way."""
+    headings, cell, last = following.shape[0], rules.cell_m, path.shape[1] - 1
+    _nearest_things(out[b], around, b, path, rules.body_m + _BESIDE_THING_M)
+    for c in range(path.shape[0]):
+        free = math.sqrt(out[b, c]) - rules.body_m
+        lost = -rules.collision * min(1.0 - free / _BESIDE_THING_M, 1.0)
+        lost = max(lost, _too_near_people(path[c], b, around, rules))
+        u, v = (path[c, last, 0] - lattice.x0) / cell - 0.5, (path[c, last, 1] - lattice.y0) / cell - 0.5
+        i, j, turn = int(u), int(v), path[c, last, 2] / (2.0 * math.pi) * headings
         u, v, h, n = u - i, v - j, math.floor(turn), j * many + one
         value = 0.0
         for turned in range(2):
@@ -352,7 +376,7 @@ def _weigh(out, following, around, b, lattice, commands, rules, pose, one, many)
 
 
 @kernel
-def worth_of_commands(first, last, shares, room, which, around, lattice, commands, rules, out):
+def worth_of_commands(first, last, shares, room, which, around, lattice, path, rules, out):
     """What it is worth to hold each command for a moment, and then to do the best that can be foreseen.
 
     Args:
@@ -361,12 +385,11 @@ def worth_of_commands(first, last, shares, room, which, around, lattice, command
         which: bool [B] worlds.
         around: an `Around`.
         lattice: a `Lattice`.
-        commands: f64 [K, 2] m/s, rad/s.
+        path: f64 [K, S, 3] poses on the way of each command while it is held, evenly apart, the last at the end.
         rules: a `Rules`.
         out: f32 [B, K], written.
     """
     together = np.empty(SIDE_BY_SIDE, np.int64)
-    pose = np.zeros(3)
     for share in range(first, last):
         following, now = room.values[share, 0], room.values[share, 1]
         ground, scratch, kept, cost = room.ground[share], room.scratch[share], room.kept[share], room.cost[share]
@@ -393,4 +416,4 @@ def worth_of_commands(first, last, shares, room, which, around, lattice, command
                 _one_moment_before(now, following, best, total, cost, kept, is_goal, k, lattice, rules, many)
                 following, now = now, following
             for n in range(many):
-                _weigh(out, following, around, together[n], lattice, commands, rules, pose, n, many)
+                _weigh(out, following, around, together[n], lattice, path, rules, n, many)
