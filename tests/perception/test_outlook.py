@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from densecavoid.frames import COMMAND_GRID, RobotConfig
-from densecavoid.perception.outlook import Outlook, OutlookConfig, make_lattice
+from densecavoid.perception.outlook import OBSERVED, Outlook, OutlookConfig, make_lattice
 from densecavoid.perception.outlook_kernels import Around
 from densecavoid.perception.rolling_grid import CELL_M
 from densecavoid.perception.static_map import CELLS
@@ -62,7 +62,7 @@ def worth(config: OutlookConfig, goal: tuple[float, float], people: np.ndarray) 
 
 
 def test_values_are_asked_for_where_a_robot_can_get_to_and_nowhere_else() -> None:
-    lattice, commands = make_lattice(2.0, 0.5, 0.15, 1.0, 0.4)
+    lattice, commands, _ = make_lattice(2.0, 0.5, 0.15, 1.0, 0.4)
     headings, size_x = lattice.spans.shape[1:3]
     reached: set[tuple[int, int, int]] = set()
     for v, w in commands:
@@ -82,6 +82,28 @@ def test_values_are_asked_for_where_a_robot_can_get_to_and_nowhere_else() -> Non
                 for b, c in itertools.product(range(2), repeat=2):
                     following.add((int(later), int(i + off_i + b), int(j + off_j + c)))
         reached = following
+
+
+@pytest.mark.parametrize(("hold_s", "cell_m"), [(0.5, 0.15), (0.4, 0.1)])
+def test_to_stand_still_leads_to_the_very_state_that_the_robot_is_in(hold_s: float, cell_m: float) -> None:
+    """Otherwise, between cells, it leads to several at once, of which each then does what is best there; to wait is
+    then worth more than anything done now, for ever (dense-static: a sixth of the worlds)."""
+    lattice, commands, path = make_lattice(10 * hold_s, hold_s, cell_m, 1.0, 0.4)
+    assert -lattice.x0 / cell_m - 0.5 == pytest.approx(round(-lattice.x0 / cell_m - 0.5), abs=1e-9)
+    assert -lattice.y0 / cell_m - 0.5 == pytest.approx(round(-lattice.y0 / cell_m - 0.5), abs=1e-9)
+    standing = (commands == 0).all(axis=1).argmax()
+    assert not path[standing].any()
+
+
+def test_the_poses_on_the_way_are_those_of_small_steps() -> None:
+    _, commands, path = make_lattice(2.0, 0.5, 0.15, 1.0, 0.4)
+    for (v, w), poses in zip(commands, path, strict=True):
+        x = y = 0.0
+        for n in range(1, 1001):
+            yaw = w * 0.5 * (n - 0.5) / 1000
+            x, y = x + v * 0.0005 * math.cos(yaw), y + v * 0.0005 * math.sin(yaw)
+            if n % 250 == 0:
+                np.testing.assert_allclose(poses[n // 250 - 1], [x, y, w * 0.5 * n / 1000], atol=1e-6)
 
 
 def test_worlds_do_not_see_each_other() -> None:
@@ -118,6 +140,20 @@ def test_a_gap_wide_enough_is_driven_through_and_a_narrower_one_is_not() -> None
         wall = wall[np.abs(wall[:, 1]) > gap_m / 2]
         found = look(Outlook(OutlookConfig(), ROBOT, 1), around([((4.0, 0.0), NOBODY)], wall))[0]
         assert (COMMAND_GRID[found.argmax()][0] == 1.0 and found.max() > 0.8) == drives, gap_m
+
+
+def test_what_is_passed_on_the_way_counts_and_not_only_where_it_ends() -> None:
+    straight = (COMMAND_GRID == [1.0, 0.0]).all(axis=1).argmax()
+    for aside_m, drives in ((0.29, False), (0.33, True)):  # half of a moment ahead
+        found = look(Outlook(OBSERVED, ROBOT, 1), around([((4.0, 0.0), NOBODY)], np.array([[0.25, aside_m]])))[0]
+        assert (found[straight] > 0.8) == drives, aside_m
+    # In the middle of the second moment, between walls on both sides.
+    along = np.arange(0.0, 4.0, 0.05)
+    for half_gap_m, drives in ((0.29, False), (0.6, True)):
+        aside = np.concatenate([-half_gap_m - along, half_gap_m + along])
+        wall = np.column_stack([np.full(len(aside), 0.75), aside])
+        found = look(Outlook(OBSERVED, ROBOT, 1), around([((4.0, 0.0), NOBODY)], wall))[0]
+        assert (COMMAND_GRID[found.argmax()][0] == 1.0 and found.max() > 0.8) == drives, half_gap_m
 
 
 def searched_worth(config: OutlookConfig, command: np.ndarray, goal: tuple[float, float], people: np.ndarray) -> float:

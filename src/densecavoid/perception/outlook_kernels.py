@@ -246,9 +246,9 @@ def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, latt
                 w10, w11 = lattice.weights[h, c, 2], lattice.weights[h, c, 3]
                 # Slices that begin at 0: the loop over them is one of vectors.
                 near, on = later[at_i, at_n:], at_n + many
-                if w00 == np.float32(1.0):  # on the spot
+                if w00 == np.float32(1.0):  # to a cell's middle
                     for n in range(size):
-                        value = near[n]
+                        value = near[n] if passed[n] > np.float32(0.0) else collision
                         best[n] = max(best[n], value)
                         total[n] += value
                 else:
