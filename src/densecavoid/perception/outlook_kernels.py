@@ -84,6 +84,7 @@ class Room(NamedTuple):
     scratch: np.ndarray  # f32 [N, X, Y]
     kept: np.ndarray  # f32 [N, X, Y * W]
     cost: np.ndarray  # f32 [N, X, Y * W]
+    halfway: np.ndarray  # f32 [N, X, Y * W]
     worth: np.ndarray  # f32 [N, X, Y * W]
     ahead: np.ndarray  # i32 [N, X, Y * W]
     is_goal: np.ndarray  # bool [N, X, Y * W]
@@ -106,6 +107,7 @@ def make_room(lattice: Lattice, threads: int, wide: int) -> Room:
         scratch=np.zeros((threads, size_x, lattice.size_y), np.float32),
         kept=plane(),
         cost=plane(),
+        halfway=plane(),
         worth=plane(),
         ahead=plane(np.int32),
         is_goal=plane(np.bool_),
@@ -214,14 +216,15 @@ def _begin_at_the_end(values, worth, ahead, fade, lattice, rules, many):
 
 
 @kernel
-def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, lattice, rules, many):
+def _one_moment_before(now, following, best, total, cost, halfway, kept, is_goal, k, lattice, rules, many):
     """Values [H, X, Y * many] after moment k, in the cells and headings that can be reached by then.
 
     Args:
         following: a moment later.
         best, total: f32 [Y * many] room to work.
-        cost: f32 [X, Y * many] of being in a cell then.
-        kept: f32 [X, Y * many] what is left of a cell's value because things are near; 0 where one is.
+        cost: f32 [X, Y * many] of being in a cell then,
+        halfway: f32 [X, Y * many] and half a moment later, on the way to the next.
+        kept: f32 [X, Y * many] what is left of a cell's value because things are near.
         is_goal: bool [X, Y * many].
         many: worlds side by side.
     """
@@ -241,21 +244,21 @@ def _one_moment_before(now, following, best, total, cost, kept, is_goal, k, latt
             for c in range(commands):
                 at_i, at_n = i + lattice.offsets[h, c, 0], first + lattice.offsets[h, c, 1] * many
                 later = following[lattice.offsets[h, c, 2]]
-                passed = kept[i + lattice.halfway[h, c, 0], first + lattice.halfway[h, c, 1] * many :]
+                passed = halfway[i + lattice.halfway[h, c, 0], first + lattice.halfway[h, c, 1] * many :]
                 w00, w01 = lattice.weights[h, c, 0], lattice.weights[h, c, 1]
                 w10, w11 = lattice.weights[h, c, 2], lattice.weights[h, c, 3]
                 # Slices that begin at 0: the loop over them is one of vectors.
                 near, on = later[at_i, at_n:], at_n + many
                 if w00 == np.float32(1.0):  # to a cell's middle
                     for n in range(size):
-                        value = near[n] if passed[n] > np.float32(0.0) else collision
+                        value = near[n] if passed[n] < _TAKEN else collision
                         best[n] = max(best[n], value)
                         total[n] += value
                 else:
                     near_on, far, far_on = later[at_i, on:], later[at_i + 1, at_n:], later[at_i + 1, on:]
                     for n in range(size):
                         value = w00 * near[n] + w01 * near_on[n] + w10 * far[n] + w11 * far_on[n]
-                        value = value if passed[n] > np.float32(0.0) else collision
+                        value = value if passed[n] < _TAKEN else collision
                         best[n] = max(best[n], value)
                         total[n] += value
             row, row_cost, row_goal = now[h, i, first:], cost[i, first:], is_goal[i, first:]
@@ -322,23 +325,21 @@ def _mark_ground(ground, kept, is_goal, around, b, lattice, rules):
         for j in range(ground.shape[1]):
             if is_goal[i, j]:  # whoever sets a goal beside things means it; people who stand there are another matter
                 ground[i, j] = 0.0
-            elif ground[i, j] >= _TAKEN:
-                kept[i, j] = 0.0
-            elif ground[i, j] > 0.0:
+            elif 0.0 < ground[i, j] < _TAKEN:
                 kept[i, j] = math.exp(math.log(rules.discount) * ground[i, j])
                 ground[i, j] = 0.0
 
 
 @inner
-def _mark_moment(cost, scratch, ground, k, around, b, lattice, rules):
-    """Writes what it costs in one world to be in each cell [X, Y] after a moment, where the robot can be then.
+def _mark_moment(cost, scratch, ground, k, time_s, around, b, lattice, rules):
+    """Writes what it costs in one world to be in each cell [X, Y] at a time, where the robot can be after moment k.
 
     Args:
         scratch: f32 [X, Y] room to work.
         ground: f32 [X, Y] cells that are taken for good.
     """
     first_i, last_i, first_j, last_j = lattice.boxes[k]
-    box, time_s = scratch[first_i:last_i, first_j:last_j], k * rules.hold_s
+    box = scratch[first_i:last_i, first_j:last_j]
     for i in range(box.shape[0]):
         for j in range(box.shape[1]):
             box[i, j] = ground[first_i + i, first_j + j]
@@ -392,7 +393,8 @@ def worth_of_commands(first, last, shares, room, which, around, lattice, path, r
     together = np.empty(SIDE_BY_SIDE, np.int64)
     for share in range(first, last):
         following, now = room.values[share, 0], room.values[share, 1]
-        ground, scratch, kept, cost = room.ground[share], room.scratch[share], room.kept[share], room.cost[share]
+        ground, scratch, kept = room.ground[share], room.scratch[share], room.kept[share]
+        cost, halfway = room.cost[share], room.halfway[share]
         worth, ahead, is_goal = room.worth[share], room.ahead[share], room.is_goal[share]
         best, total, fade = room.best[share], room.total[share], room.fade[share]
         at, end = len(which) * share // shares, len(which) * (share + 1) // shares
@@ -412,8 +414,11 @@ def worth_of_commands(first, last, shares, room, which, around, lattice, path, r
             _begin_at_the_end(following, worth, ahead, fade, lattice, rules, many)
             for k in range(rules.moments - 1, 0, -1):
                 for n in range(many):
-                    _mark_moment(cost[:, n::many], scratch, ground[n], k, around, together[n], lattice, rules)
-                _one_moment_before(now, following, best, total, cost, kept, is_goal, k, lattice, rules, many)
+                    of_world = scratch, ground[n]
+                    known = around, together[n], lattice, rules
+                    _mark_moment(cost[:, n::many], *of_world, k, k * rules.hold_s, *known)
+                    _mark_moment(halfway[:, n::many], *of_world, k + 1, (k + 0.5) * rules.hold_s, *known)
+                _one_moment_before(now, following, best, total, cost, halfway, kept, is_goal, k, lattice, rules, many)
                 following, now = now, following
             for n in range(many):
                 _weigh(out, following, around, together[n], lattice, path, rules, n, many)
