@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,36 @@ def test_compressed_recordings_are_read_and_those_that_unpack_to_too_much_are_re
     monkeypatch.setattr("densecavoid.robot.bags.MAX_BAG_BYTES", size)
     with pytest.raises(ValueError, match="unpacks to more than"):
         scans()
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        # A view that never ends where the version of the format is looked up.
+        (
+            "DROP TABLE schema; CREATE VIEW schema AS WITH RECURSIVE n(schema_version) AS "
+            "(SELECT 0 UNION ALL SELECT schema_version + 1 FROM n) SELECT max(schema_version) AS schema_version FROM n",
+            "schema",
+        ),
+        ("CREATE VIRTUAL TABLE other USING fts5(text)", "other"),
+        # A gigabyte a message.
+        (
+            "ALTER TABLE messages RENAME TO before; CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, "
+            "timestamp INTEGER, data BLOB AS (zeroblob(1000000000)))",
+            "messages.data",
+        ),
+    ],
+)
+def test_databases_that_compute_are_refused(changes: str, named: str, tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "drive", ".db3", [blank_frame(ScriptedPilot.lidar, ScriptedPilot.camera)] * 2)
+    file = path if path.is_file() else next(path.glob("*.db3"))
+    with Bag(path) as bag:
+        assert bag.topics_of("scan")
+    with sqlite3.connect(file) as database:
+        database.executescript(changes)
+    for recording in {path, file}:
+        with pytest.raises(ValueError, match=f"'{named}' in the database is computed"):
+            Bag(recording)
 
 
 @pytest.mark.parametrize(

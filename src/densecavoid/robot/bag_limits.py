@@ -1,5 +1,6 @@
-"""Bounds on what rosbags unpacks: a few kilobytes of a stranger's recording can stand for gigabytes. Nothing else of
-rosbags is changed; its version is bounded in pyproject.toml, because its tables of decompressors are its own affair.
+"""Bounds on what rosbags unpacks and asks a database for: a few kilobytes of a stranger's recording can stand for
+gigabytes, or for a query that never ends. Nothing else of rosbags is changed; its version is bounded in pyproject.toml,
+because its tables of decompressors are its own affair.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ MAX_UNPACKED_BYTES = 256 << 20
 
 
 def bound_unpacking(max_file_bytes: int) -> None:
-    """Puts bounded decompressors in the place of rosbags' own; may be called again.
+    """Puts bounded decompressors and databases (`PlainDatabases`) in the place of rosbags' own; may be called again.
 
     Args:
         max_file_bytes: of a file that is compressed as a whole, which rosbags unpacks into a temporary folder.
@@ -37,6 +38,41 @@ def bound_unpacking(max_file_bytes: int) -> None:
             return BoundedFile(mcap.zstd.open(file, mode), max_file_bytes)
 
     bags2.zstd = BoundedZstd
+    databases: Any = importlib.import_module("rosbags.rosbag2.storage_sqlite3")
+    if not isinstance(databases.apsw, PlainDatabases):
+        databases.apsw = PlainDatabases(databases.apsw)
+
+
+class PlainDatabases:
+    """The module apsw, but connections that only read refuse a file in which a name stands for a computation: views and
+    columns may ask for anything, without end.
+    """
+
+    def __init__(self, apsw: Any) -> None:
+        self._apsw = apsw
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._apsw, name)
+
+    def Connection(self, filename: str, *, flags: int, vfs: str | None = None) -> Any:  # noqa: N802 (apsw's name)
+        """As apsw's.
+
+        Raises:
+            ValueError: for a database with views, virtual tables or computed columns, naming the first.
+        """
+        connection = self._apsw.Connection(filename, flags=flags, vfs=vfs)
+        if flags & self._apsw.SQLITE_OPEN_READONLY:
+            computed = (
+                "SELECT name FROM sqlite_master WHERE type NOT IN ('table', 'index') UNION ALL "
+                "SELECT name FROM pragma_table_list WHERE schema = 'main' AND type = 'virtual' UNION ALL "
+                "SELECT t.name || '.' || c.name FROM sqlite_master t, pragma_table_xinfo(t.name) c "
+                "WHERE t.type = 'table' AND c.hidden <> 0"
+            )
+            found = connection.execute(computed).fetchone()
+            if found is not None:
+                connection.close()
+                raise ValueError(f"{found[0]!r} in the database is computed, expected tables of data alone")
+        return connection
 
 
 class BoundedFile:
