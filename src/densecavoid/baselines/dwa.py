@@ -2,9 +2,9 @@
 
 Arcs of constant velocities are followed some seconds ahead among the points of the present scan, which are taken to
 stand still. Of those from which the robot can still stop, the one with the best sum of progress, heading, clearance and
-speed is driven for one control step. Progress and heading are towards the goal, or, where the straight way there is
-not free, towards the end of the free straight way that deviates least: alone, the method stands still before whatever
-is broader than it can see past.
+speed is driven for one control step. Progress and heading are towards the next place on the way to the goal past what
+has been seen, or, where the straight way there is not free, towards the end of the free straight way that deviates
+least: alone, the method stands still before whatever is broader than it can see past.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
-from densecavoid.baselines.surroundings import ScanPoints
-from densecavoid.frames import Command, LidarConfig, RobotConfig, SensorFrame, goal_polar, require
+from densecavoid.baselines.surroundings import ScanPoints, WayAround
+from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, require
+from densecavoid.perception.people_around import nobody
 from densecavoid.sim._jit import kernel
 
 
@@ -169,7 +170,7 @@ def best_arcs(
 
 
 class Dwa:
-    """Satisfies `frames.Navigator`. Sees the scan, its odometry and the goal."""
+    """Satisfies `frames.Navigator`. Sees scan, depth image, odometry and goal; nobody is told from things."""
 
     name = "dwa"
     privileged = False
@@ -178,14 +179,17 @@ class Dwa:
         self,
         robot: RobotConfig = RobotConfig(),
         lidar: LidarConfig = LidarConfig(),
+        camera: CameraConfig = CameraConfig(),
         config: DwaConfig | None = None,
     ) -> None:
         self.robot = robot
         self.config = config or DwaConfig()
         self._scan = ScanPoints(lidar, min(_SECTORS, lidar.num_rays))
+        self._way = WayAround(robot, lidar, camera)
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
-        """Does nothing: each command follows from one frame."""
+        """Forgets what the marked worlds have shown."""
+        self._way.reset(which)
 
     def act(self, frame: SensorFrame) -> Command:
         """The command for each world.
@@ -194,8 +198,7 @@ class Dwa:
             ValueError: when the scan has another number of rays than the lidar that this navigator was made for.
         """
         config, robot = self.config, self.robot
-        distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
-        goal = distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        goal, _ = self._way.next_place(frame, nobody(frame.num_worlds))
         out = np.zeros((frame.num_worlds, 2))
         best_arcs(
             self._scan.of(frame.scan_m),

@@ -3,7 +3,8 @@ Breitenmoser, Rufli, Beardsley, Siegwart, DARS 2010).
 
 The robot is grown by the greatest error with which it follows a velocity that points elsewhere, and only velocities
 that it can follow within this error are chosen. `orca` knows tracked people, `orca-privileged` everybody there is; what
-else the lidar meets stands still.
+else the lidar meets stands still. It wishes to go to the next place on the way past what has been seen: alone, the
+method stands still before whatever is broader than a person.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from densecavoid.baselines.surroundings import PeopleAround, ScanPoints
+from densecavoid.baselines.surroundings import PeopleAround, ScanPoints, WayAround
 from densecavoid.baselines.unicycle import TurningConfig, follow_velocity
-from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, goal_polar, require
+from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, require
 from densecavoid.sim._jit import kernel
 from densecavoid.sim.crowds.orca import avoid_disc, nearest_velocity
 
@@ -174,6 +175,7 @@ class Orca:
         self._dt_s = control_dt_s
         self._people = PeopleAround(source, lidar, camera)
         self._scan = ScanPoints(lidar, min(_SECTORS, lidar.num_rays))
+        self._way = WayAround(robot, lidar, camera, control_dt_s)
         self._planes = followable(self.config.tracking_error_m, robot, self._turning)
 
     @property
@@ -182,8 +184,9 @@ class Orca:
         return self._people.privileged
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
-        """Forgets the tracks of the marked worlds."""
+        """Forgets the marked worlds."""
         self._people.reset(which)
+        self._way.reset(which)
 
     def act(self, frame: SensorFrame) -> Command:
         """The command for each world.
@@ -193,7 +196,8 @@ class Orca:
         """
         config, limit = self.config, self.robot.max_linear_velocity
         people = self._people.see(frame)
-        distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
+        place, distance = self._way.next_place(frame, people)
+        bearing = np.arctan2(place[:, 1], place[:, 0])
         wish = np.minimum(limit, distance)[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         own = np.stack([frame.velocity[:, 0].astype(np.float64), np.zeros(frame.num_worlds)], axis=1)
         grown = config.body_m + config.tracking_error_m

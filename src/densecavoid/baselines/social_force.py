@@ -1,5 +1,6 @@
-"""The social force model as a navigator (Helbing, Molnar, Phys. Rev. E 51, 1995): pulled to the goal, pushed by people
-and by what the lidar meets; the velocity that comes of it is followed on two wheels."""
+"""The social force model as a navigator (Helbing, Molnar, Phys. Rev. E 51, 1995): pulled to the next place
+on the way to the goal past what has been seen, pushed by people and by what the lidar meets; the velocity that comes of
+it is followed on two wheels."""
 
 from __future__ import annotations
 
@@ -9,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from densecavoid.baselines.surroundings import PeopleAround, ScanPoints
+from densecavoid.baselines.surroundings import PeopleAround, ScanPoints, WayAround
 from densecavoid.baselines.unicycle import TurningConfig, follow_velocity
-from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, goal_polar, require
+from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, require
 from densecavoid.perception.people_around import People
 
 
@@ -62,6 +63,7 @@ class SocialForce:
         self.config = config or SocialForceConfig()
         self._people = PeopleAround("tracks", lidar, camera)
         self._scan = ScanPoints(lidar, min(_SECTORS, lidar.num_rays))
+        self._way = WayAround(robot, lidar, camera)
 
     @property
     def privileged(self) -> bool:
@@ -69,8 +71,9 @@ class SocialForce:
         return self._people.privileged
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
-        """Forgets the tracks of the marked worlds."""
+        """Forgets the marked worlds."""
         self._people.reset(which)
+        self._way.reset(which)
 
     def act(self, frame: SensorFrame) -> Command:
         """The command for each world.
@@ -81,7 +84,8 @@ class SocialForce:
         config = self.config
         people = self._people.see(frame)
         points = self._scan.of(frame.scan_m, people)
-        distance, bearing = goal_polar(frame.odom_pose, frame.goal_odom)
+        place, distance = self._way.next_place(frame, people)
+        bearing = np.arctan2(place[:, 1], place[:, 0])
         to_goal = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         own = np.stack([frame.velocity[:, 0].astype(np.float64), np.zeros(frame.num_worlds)], axis=1)
         speed = np.minimum(self.robot.max_linear_velocity, distance)

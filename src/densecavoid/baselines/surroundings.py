@@ -1,4 +1,5 @@
-"""What classical navigators know of their surroundings: people around, and what else the lidar meets.
+"""What classical navigators know of their surroundings: people around, what else the lidar meets, and where the way to
+the goal leads past what has been seen, as a navigation stack's global planner tells its local one.
 
 People come from the tracker that the policy uses too, through `PeopleAround` alone; or, for privileged navigators, from
 ground truth.
@@ -12,8 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from densecavoid.env.observation import Observer, ObserverConfig
-from densecavoid.frames import CameraConfig, LidarConfig, SensorFrame, choose, require
+from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, SensorFrame, choose, goal_polar, require
 from densecavoid.perception.people_around import People, people_around, people_of
+from densecavoid.perception.route import AHEAD_M, Route
+
+_LOOK_EVERY_S = 0.5
+"""So often the way is looked for anew."""
 
 
 class PeopleAround:
@@ -63,6 +68,47 @@ class PeopleAround:
             self._observer = Observer(self._config, frame.num_worlds)
         self._observer.observe(frame)
         return people_of(self._observer.tracks, frame, self._standing)
+
+
+class WayAround:
+    """Where to go next: a place on the shortest way to the goal, as policies are shown it (`perception.route`)."""
+
+    def __init__(self, robot: RobotConfig, lidar: LidarConfig, camera: CameraConfig, control_dt_s: float = 0.1) -> None:
+        """
+        Args:
+            robot: what begins above its height is in nobody's way.
+            lidar, camera: whose frames it will be given.
+            control_dt_s: between two frames.
+        """
+        self._sensors, self._robot = (lidar, camera), robot
+        self._every_steps = max(1, round(_LOOK_EVERY_S / control_dt_s))
+        self._route: Route | None = None
+        self._num_worlds = 0
+
+    def reset(self, which: Bool[np.ndarray, "B"]) -> None:
+        """Forgets the marked worlds; their number sets the batch size."""
+        if self._route is None or len(which) != self._num_worlds:
+            self._begin(len(which))
+        else:
+            self._route.reset(which)
+
+    def next_place(self, frame: SensorFrame, people: People) -> tuple[Float[np.ndarray, "B 2"], Float[np.ndarray, "B"]]:
+        """The place in the robot's frame (m), and how far it is to the goal (m) straight on.
+
+        Args:
+            frame: of the sensors.
+            people: who is known: those who stand are in the way, those who walk leave no trail in the map.
+        """
+        if self._route is None:
+            self._begin(frame.num_worlds)
+        assert self._route is not None
+        _, bearing = self._route.update(frame, people, np.ones(frame.num_worlds, np.bool_))
+        distance, _ = goal_polar(frame.odom_pose, frame.goal_odom)
+        return np.minimum(distance, AHEAD_M)[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1), distance
+
+    def _begin(self, num_worlds: int) -> None:
+        self._num_worlds = num_worlds
+        self._route = Route(*self._sensors, self._every_steps, num_worlds, robot=self._robot)
 
 
 class ScanPoints:

@@ -22,6 +22,12 @@ class People(NamedTuple):
     there: Bool[np.ndarray, "B P"]
 
 
+def nobody(num_worlds: int) -> People:
+    """No people in so many worlds."""
+    places = np.zeros((num_worlds, 0, 2))
+    return People(places, places, np.zeros((num_worlds, 0)), np.zeros((num_worlds, 0), np.bool_))
+
+
 def people_of(tracks: Tracks, frame: SensorFrame, standing: bool = False) -> People:
     """Those whom a tracker is sure of.
 
