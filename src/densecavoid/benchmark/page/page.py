@@ -29,9 +29,10 @@ NAVIGATORS = {
     "depth-lidar": "the learned policy with camera and lidar, but without prediction",
     "long2018": "a learned policy on the lidar alone (Long et al. 2018)",
     "go-to-goal": "drives straight at the goal and stops before what is in the way: the least one can do",
-    "dwa": "the dynamic window approach: tries arcs among the lidar's points, which it takes to stand still",
-    "social-force": "is pulled to the goal and pushed by people and walls",
-    "orca": "picks a velocity that collides with nobody who keeps walking as they do",
+    "dwa": "on the way past what it has seen, tries arcs (dynamic window approach) among what the lidar sees, which it "
+    "takes to stand still",
+    "social-force": "is pulled along the way past what it has seen and pushed by people and walls",
+    "orca": "on the way past what it has seen, picks a velocity that collides with nobody who keeps walking as they do",
     "orca-privileged": "the same, told by the simulator where everybody is and how they move",
     "lookahead": "plans the next 5.6 s among tracked people, who it takes to walk on, and what it has seen standing",
     "lookahead-privileged": "the same, told by the simulator where everybody is and how they move",
