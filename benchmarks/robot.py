@@ -18,7 +18,7 @@ import tempfile
 import time
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -80,17 +80,26 @@ def record(steps: int) -> list[dict[str, Any]]:
     return messages
 
 
-def drive(folder: Path, messages: list[dict[str, Any]]) -> tuple[np.ndarray, list[Observation], list[np.ndarray]]:
+class Acted(NamedTuple):
+    """One act of the policy."""
+
+    observation: Observation
+    noise: np.ndarray | None
+    """What the command was drawn with; none if it is the likeliest."""
+    command: np.ndarray
+
+
+def drive(folder: Path, messages: list[dict[str, Any]]) -> tuple[np.ndarray, list[Acted]]:
     """Feeds the messages to the loop.
 
     Returns:
-        times (ms) by the wall and of this thread, the observations made, and the policy's mean commands.
+        times (ms) by the wall and of this thread, and what the policy made of them.
     """
     settings = settings_from({"use_tf": False, "safety": {"freeze": {"enabled": False}}}, "benchmark")
     pilot = FolderPilot(folder)
     runtime = RobotRuntime(pilot, settings, threaded=False)
     runtime.warm_up()
-    times, observations, commands = [], [], []
+    times, acted = [], []
     for index, message in enumerate(messages):
         now = message["now"]
         if index == 0:
@@ -105,12 +114,12 @@ def drive(folder: Path, messages: list[dict[str, Any]]) -> tuple[np.ndarray, lis
         times.append((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))
         observation = pilot.observation
         if observation is not None and not step.fault:
-            observations.append(Observation(*(array.copy() for array in observation)))
-            commands.append(np.array(step.asked))
-    return np.array(times), observations, commands
+            kept = Observation(*(array.copy() for array in observation))
+            acted.append(Acted(kept, pilot.noise, np.array(step.asked)))
+    return np.array(times), acted
 
 
-def difference_from_torch(observations: list[Observation], commands: list[np.ndarray]) -> float | None:
+def difference_from_torch(acted: list[Acted]) -> float | None:
     """Greatest difference of a command (m/s, rad/s) from the torch network's; None without torch."""
     try:
         import torch
@@ -123,9 +132,10 @@ def difference_from_torch(observations: list[Observation], commands: list[np.nda
         network, _ = load_safetensors(path)
     worst = 0.0
     with torch.no_grad():
-        for observation, command in zip(observations, commands, strict=True):
-            mean = network.command(ObservationTensors(*map(torch.from_numpy, observation))).numpy()[0]
-            worst = max(worst, float(np.abs(mean - command).max()))
+        for observation, noise, command in acted:
+            policy = network.policy(ObservationTensors(*map(torch.from_numpy, observation)))
+            expected = policy.mode if noise is None else policy.at(torch.from_numpy(noise).float())
+            worst = max(worst, float(np.abs(expected.numpy()[0] - command).max()))
     return worst
 
 
@@ -150,17 +160,17 @@ def main() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder_name:
         folder, _ = export_folder("densecavoid", Path(folder_name) / "exported")
-        times, observations, commands = drive(folder, record(args.steps))
+        times, acted = drive(folder, record(args.steps))
         result: dict[str, float | None] = {
             "act_ms_p50": float(np.percentile(times[:, 0], 50)),
             "act_ms_p99": float(np.percentile(times[:, 0], 99)),
             # Of the thread alone: what the step costs where nobody else wants the processor.
             "act_cpu_ms_p50": float(np.percentile(times[:, 1], 50)),
             "act_cpu_ms_p99": float(np.percentile(times[:, 1], 99)),
-            "difference_from_torch": difference_from_torch(observations, commands),
+            "difference_from_torch": difference_from_torch(acted),
             **start_up(folder),
         }
-    result["commands"] = float(len(commands))
+    result["commands"] = float(len(acted))
     for name, value in result.items():
         print(f"{name:24} {'-' if value is None else f'{value:.6g}'}")
     if args.json:

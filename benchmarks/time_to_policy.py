@@ -216,7 +216,8 @@ def learner_of_stable_baselines3(config: TrainConfig) -> Callable[[int], tuple[i
             weights_sha256="",
         )
 
-        def __call__(self, observation: Observation) -> np.ndarray:
+        def __call__(self, observation: Observation, noise: np.ndarray | None = None) -> np.ndarray:
+            assert noise is None, "Gaussian policies act with the mean"
             return ppo.predict(observation._asdict(), deterministic=True)[0]
 
     def learn(total: int) -> tuple[int, float, Navigator]:

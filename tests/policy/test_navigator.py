@@ -17,6 +17,7 @@ from densecavoid.policy.card import PolicyCard  # noqa: E402
 from densecavoid.policy.export import describe, export_onnx  # noqa: E402
 from densecavoid.policy.navigator import PolicyNavigator, load_policy, read_observer_config  # noqa: E402
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors  # noqa: E402
+from densecavoid.policy.noise import EpisodeNoise  # noqa: E402
 from densecavoid.policy.runtime import OnnxPolicy  # noqa: E402
 from densecavoid.scenarios import make_scenario  # noqa: E402
 from densecavoid.sim.world import Simulator  # noqa: E402
@@ -100,7 +101,8 @@ class HalfSpeed:
     card: PolicyCard
     shown: Observation | None = None
 
-    def __call__(self, observation: Observation) -> np.ndarray:
+    def __call__(self, observation: Observation, noise: np.ndarray | None = None) -> np.ndarray:
+        assert noise is None
         self.shown = observation
         return np.tile(np.array([0.5, 0.4], np.float32), (len(observation.goal), 1))
 
@@ -161,22 +163,22 @@ def test_reset_of_one_world_makes_it_as_new_and_leaves_the_others(path: Path) ->
 def test_draws_scatter_as_the_policy_says_within_the_limits_and_follow_the_seed(path: Path) -> None:
     frame = frames(1, 1)[0]
     mean = load_policy(path).act(frame)
-    draws = []
     navigator = load_policy(path, sample=True, seed=4)
-    for _ in range(300):
-        navigator.reset(np.ones(1, bool))
-        draws.append(float(navigator.act(frame).angular_velocity[0]))
+    draws = [float(navigator.act(frame).angular_velocity[0]) for _ in range(300)]
     limit = float(np.float32(0.4))
     assert min(draws) >= -limit and max(draws) <= limit
     inside = [draw for draw in draws if abs(draw) < limit]
     assert len(set(inside)) == len(inside)
     median = float(np.median(draws))
     assert median == pytest.approx(float(mean.angular_velocity[0]), abs=0.04)
-    again = load_policy(path, sample=True, seed=4)
-    assert float(again.act(frame).angular_velocity[0]) == draws[0]
+    for again in (navigator, load_policy(path, sample=True, seed=4)):
+        again.reset(np.ones(1, bool))
+        assert [float(again.act(frame).angular_velocity[0]) for _ in range(5)] == draws[:5], (
+            "every episode's are the same"
+        )
 
 
-def test_a_policy_that_chooses_must_be_told_what_commands_are_worth_and_has_no_draws(tmp_path: Path) -> None:
+def test_a_policy_that_chooses_must_be_told_what_commands_are_worth_and_draws(tmp_path: Path) -> None:
     config = dataclasses.replace(NetworkConfig.preset("compact"), worth_features=8, chooses=True)
     chooser = ActorCritic(config)
     export_onnx(tmp_path / "chooser.onnx", chooser, describe(chooser, "chooser"))
@@ -184,8 +186,32 @@ def test_a_policy_that_chooses_must_be_told_what_commands_are_worth_and_has_no_d
         load_policy(tmp_path / "chooser.onnx")
     weighing = dataclasses.asdict(ObserverConfig(route_every_s=0.5, weighs_commands=True))
     export_onnx(tmp_path / "chooser.onnx", chooser, describe(chooser, "chooser", observation=weighing))
-    with pytest.raises(ValueError, match="spread of policy 'chooser' is None, expected a Gaussian's, to sample"):
-        load_policy(tmp_path / "chooser.onnx", sample=True)
+    navigator, likeliest = (load_policy(tmp_path / "chooser.onnx", sample=sample) for sample in (None, False))
+    drawn, expected = set(), set()
+    for frame in frames(1, 30):
+        command, mode = navigator.act(frame), likeliest.act(frame)
+        assert navigator.observation is not None and navigator.noise is not None and likeliest.noise is None
+        with torch.no_grad():
+            policy = chooser.policy(
+                ObservationTensors(*(torch.from_numpy(array.copy()) for array in navigator.observation))
+            )
+        found = float(command.linear_velocity[0]), float(command.angular_velocity[0])
+        assert found == pytest.approx(tuple(policy.at(torch.from_numpy(navigator.noise).float())[0].tolist()))
+        assert float(mode.linear_velocity[0]) == pytest.approx(float(policy.mode[0, 0]))
+        drawn.add(found)
+        expected.add((float(mode.linear_velocity[0]), float(mode.angular_velocity[0])))
+    assert len(drawn) > len(expected)
+
+
+def test_draws_of_a_world_do_not_depend_on_those_beside_it() -> None:
+    noise, alone = EpisodeNoise(3, 2), EpisodeNoise(3, 1)
+    first = [noise.next() for _ in range(5)]
+    noise.reset(np.array([False, True]))
+    rest = [noise.next() for _ in range(1500)]
+    expected = np.concatenate([alone.next() for _ in range(1505)])
+    np.testing.assert_array_equal(np.stack([*first, *rest])[:, 0], expected)
+    np.testing.assert_array_equal(np.stack(rest)[:, 1], expected[:1500])
+    assert abs(expected.mean()) < 0.1 and expected.std() == pytest.approx(1.0, abs=0.05)
 
 
 def test_frames_of_another_size_than_announced_are_refused(path: Path) -> None:

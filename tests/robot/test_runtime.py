@@ -129,8 +129,10 @@ def test_observations_give_torchs_commands(folder: Path) -> None:
         assert pilot.observation is not None and step.fault == ""
         with torch.no_grad():
             tensors = ObservationTensors(*(torch.from_numpy(array.copy()) for array in pilot.observation))
-            mean = network.command(tensors).numpy()[0]
-        np.testing.assert_allclose(step.asked, np.clip(mean, [0.0, -0.4], [1.0, 0.4]), atol=1e-4)
+            policy = network.policy(tensors)
+            drawn = policy.mode if pilot.noise is None else policy.at(torch.from_numpy(pilot.noise).float())
+        command = drawn.numpy()[0]
+        np.testing.assert_allclose(step.asked, np.clip(command, [0.0, -0.4], [1.0, 0.4]), atol=1e-4)
 
 
 def test_a_goal_that_is_taken_away_stops_the_robot_and_is_another_than_the_next() -> None:

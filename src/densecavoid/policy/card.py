@@ -43,6 +43,11 @@ class PolicyCard:
         choose("sensor configuration", self.sensors, SENSORS)
         require(self.format == CARD_FORMAT, "PolicyCard.format", self.format, str(CARD_FORMAT))
 
+    @property
+    def chooses(self) -> bool:
+        """Whether it chooses among `COMMAND_GRID`."""
+        return self.log_std is None
+
     def to_metadata(self) -> dict[str, str]:
         """For the file's table of strings."""
         return {METADATA_KEY: to_json(self)}

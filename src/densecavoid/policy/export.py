@@ -16,6 +16,7 @@ from densecavoid.frames import COMMAND_GRID
 from densecavoid.networks.config_json import from_dict
 from densecavoid.networks.torch_files import build, read_tensors, save_tensors, to_onnx, write_onnx
 from densecavoid.policy.card import PolicyCard
+from densecavoid.policy.distribution import GridChoice
 from densecavoid.policy.network import ActorCritic, NetworkConfig, ObservationTensors
 
 
@@ -92,14 +93,16 @@ class _Command(nn.Module):
         velocity: Tensor,
         prediction: Tensor,
         worth: Tensor | None = None,
-    ) -> Tensor:
+    ) -> Tensor | tuple[Tensor, Tensor]:
         worth = goal.new_zeros(0) if worth is None else worth
-        return self.network.command(ObservationTensors(lidar, camera, goal, velocity, prediction, worth))
+        policy = self.network.policy(ObservationTensors(lidar, camera, goal, velocity, prediction, worth))
+        return (policy.mode, policy.log_probs) if isinstance(policy, GridChoice) else policy.mode
 
 
 def export_onnx(path: Path, network: ActorCritic, card: PolicyCard) -> None:
-    """Writes one graph: the arrays of an observation, any batch size, to `mean` [B, 2] (v m/s, w rad/s): the Gaussian's
-    mean, or the likeliest of the grid's commands. What commands are worth is an input where the network looks at it.
+    """Writes one graph: the arrays of an observation, any batch size, to `mean` [B, 2] (v m/s, w rad/s). What commands
+    are worth is among them where the network looks at it. Where it chooses among them, `mean` is the likeliest, and
+    there are the logarithms of their probabilities too, `log_probs` [B, 25].
 
     The branches are exported in float32 and as convolutions, whatever they were trained as.
     """
@@ -109,7 +112,8 @@ def export_onnx(path: Path, network: ActorCritic, card: PolicyCard) -> None:
     example = _example_observation(network.config, batch=2)._asdict()
     if network.config.worth_features == 0:
         del example["worth"]
-    write_onnx(path, to_onnx(module, tuple(example.values()), tuple(example), ["mean"]), card.to_metadata())
+    outputs = ["mean", "log_probs"] if network.config.chooses else ["mean"]
+    write_onnx(path, to_onnx(module, tuple(example.values()), tuple(example), outputs), card.to_metadata())
 
 
 def _example_observation(config: NetworkConfig, batch: int) -> ObservationTensors:

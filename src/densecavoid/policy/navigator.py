@@ -19,6 +19,7 @@ from densecavoid.perception.predictor.contract import Predictor
 from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.card import PolicyCard
 from densecavoid.policy.folder import open_folder
+from densecavoid.policy.noise import EpisodeNoise
 from densecavoid.policy.runtime import POLICIES, OnnxPolicy
 from densecavoid.policy.sensors import mask_observation
 
@@ -29,8 +30,8 @@ class Policy(Protocol):
 
     card: PolicyCard
 
-    def __call__(self, observation: Observation) -> np.ndarray:
-        """Mean command (v m/s, w rad/s) for each row, [B, 2]."""
+    def __call__(self, observation: Observation, noise: np.ndarray | None = None) -> np.ndarray:
+        """The likeliest command (v m/s, w rad/s) of each row [B, 2], or the draw that standard normal noise makes."""
         ...
 
 
@@ -42,7 +43,7 @@ class PolicyNavigator:
         policy: Policy,
         *,
         people_from: PeopleFrom = "detector",
-        sample: bool = False,
+        sample: bool | None = None,
         seed: int = 0,
         num_worlds: int = 1,
         networks: PeopleNetworks = PeopleNetworks(),
@@ -53,9 +54,10 @@ class PolicyNavigator:
             policy: what acts; its file says how observations are made.
             people_from: where people's places come from, whatever it was in training: the robot's own sensors, or, to
                 compare with, ground truth. Policies that do not see the prediction frame need none.
-            sample: draw around the mean, as in the paper's equation, instead of acting with the mean. Only with
-                Gaussian policies.
-            seed: of the draws.
+            sample: draw from the policy, as in the paper's equation, instead of doing what is likeliest. None: as it
+                drives best: who chooses among commands draws (where two are about as good, the likeliest is one now and
+                the other a tenth of a second later, and the robot stays where it is), others act with the mean.
+            seed: of the draws, which are made from the same numbers in every episode.
             num_worlds: batch size until the first `reset`.
             networks: who finds and foresees people.
             robot: whom it drives; the robot of its training unless given. A policy that is told what commands are
@@ -63,7 +65,7 @@ class PolicyNavigator:
                 velocities mean the same shares of them. Other policies' commands are cut.
 
         Raises:
-            ValueError: for a policy whose file contradicts itself, and where no draws can be made.
+            ValueError: for a policy whose file contradicts itself.
         """
         self.policy = policy
         uses_people = policy.card.sensors == "densecavoid"
@@ -91,14 +93,10 @@ class PolicyNavigator:
         self._num_worlds = num_worlds
         self.observation: Observation | None = None
         """What it acted on last, in buffers that the next act writes again."""
-        self._std = None
-        if sample:
-            log_std = policy.card.log_std
-            require(
-                log_std is not None, f"the spread of policy {policy.card.name!r}", log_std, "a Gaussian's, to sample"
-            )
-            self._std = np.exp(np.array(log_std, np.float32))
-        self._rng = np.random.default_rng(seed)
+        draws = policy.card.chooses if sample is None else sample
+        self._noise = EpisodeNoise(seed, num_worlds) if draws else None
+        self.noise: np.ndarray | None = None
+        """What the last command was drawn with; none if it is the likeliest."""
 
     @property
     def privileged(self) -> bool:
@@ -127,6 +125,8 @@ class PolicyNavigator:
             self._observer = Observer(self._observer_config, self._num_worlds, self._networks)
         else:
             self._observer.reset(which)
+        if self._noise is not None:
+            self._noise.reset(which)
 
     def act(self, frame: SensorFrame) -> Command:
         """The command for each world, within the robot's limits.
@@ -140,9 +140,8 @@ class PolicyNavigator:
             )
         observation = mask_observation(self._observer.observe(frame), self.policy.card.sensors)
         observation = self.observation = observation._replace(velocity=observation.velocity / self._shares)
-        command = self.policy(observation) * self._shares
-        if self._std is not None:
-            command = command + self._std * self._rng.standard_normal(command.shape, dtype=np.float32)
+        self.noise = None if self._noise is None else self._noise.next()
+        command = self.policy(observation, self.noise) * self._shares
         command = np.clip(command, [0.0, -self._limits[1]], self._limits).astype(np.float32)
         return Command(command[:, 0], command[:, 1])
 
@@ -160,7 +159,7 @@ def read_observer_config(values: Mapping[str, Any], people_from: PeopleFrom) -> 
 
 
 def load_policy(
-    name_or_path: str | Path, *, people_from: PeopleFrom = "detector", sample: bool = False, seed: int = 0
+    name_or_path: str | Path, *, people_from: PeopleFrom = "detector", sample: bool | None = None, seed: int = 0
 ) -> PolicyNavigator:
     """The navigator of a shipped policy (by name), of an ONNX file, or of an exported folder with all that is in it.
 

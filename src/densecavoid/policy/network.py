@@ -113,10 +113,16 @@ class ActorCritic(nn.Module):
     def command(
         self, observation: ObservationTensors, people: Float32[Tensor, "B K numbers"] | None = None
     ) -> Float32[Tensor, "B 2"]:
-        """The likeliest command (v m/s, w rad/s) alone: what a robot drives."""
+        """The likeliest command (v m/s, w rad/s) alone."""
+        return self.policy(observation, people).mode
+
+    def policy(
+        self, observation: ObservationTensors, people: Float32[Tensor, "B K numbers"] | None = None
+    ) -> DiagonalGaussian | GridChoice:
+        """The policy alone: what a robot runs."""
         told = self._told(people) if self.config.people == "actor" else None
         features = self.actor_encoder(observation, *self.numbers(observation))
-        return self._policy(features, observation.worth, told).mode
+        return self._policy(features, observation.worth, told)
 
     def value(
         self, observation: ObservationTensors, people: Float32[Tensor, "B K numbers"] | None = None

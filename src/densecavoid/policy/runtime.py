@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
-from densecavoid.frames import Observation
+from densecavoid.frames import COMMAND_GRID, Observation
 from densecavoid.networks.onnx_files import Shelf
 from densecavoid.policy.card import PolicyCard
 
@@ -27,7 +28,7 @@ POLICIES = Shelf("policy", "densecavoid.policy")
 
 
 class OnnxPolicy:
-    """Observation -> mean command. Stateless between calls."""
+    """Observation -> command. Stateless between calls."""
 
     def __init__(self, name_or_path: str | Path, threads: int = 1) -> None:
         """Loads and checks the file.
@@ -44,9 +45,13 @@ class OnnxPolicy:
         self._session, self.sha256 = opened.session, opened.sha256
         self.card = PolicyCard.from_metadata(opened.metadata, f"the file of policy {str(name_or_path)!r}")
         self._shapes = self._check_graph(str(name_or_path))
+        self._grid = COMMAND_GRID * [self.card.max_linear_velocity, self.card.max_angular_velocity]
 
-    def __call__(self, observation: Observation) -> Float32[np.ndarray, "B 2"]:
-        """Mean command (v m/s, w rad/s) for each row.
+    def __call__(
+        self, observation: Observation, noise: Float[np.ndarray, "B 2"] | None = None
+    ) -> Float32[np.ndarray, "B 2"]:
+        """The likeliest command (v m/s, w rad/s) for each row; or, with standard normal `noise`, the draw that it makes
+        (as in `distribution`).
 
         Raises:
             ValueError: naming the array whose shape does not fit.
@@ -60,7 +65,14 @@ class OnnxPolicy:
                     f"observation.{name} has shape {array.shape}, expected {expected} for {self.card.name!r}"
                 )
             feed[name] = np.ascontiguousarray(array, dtype=_TYPES[name][1])
-        return np.asarray(self._session.run(["mean"], feed)[0])
+        if noise is None:
+            return np.asarray(self._session.run(["mean"], feed)[0])
+        if self.card.log_std is None:
+            below = np.exp(np.asarray(self._session.run(["log_probs"], feed)[0], np.float64)).cumsum(axis=1)
+            quantile = np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in noise[:, 0]])
+            chosen = (below <= np.minimum(quantile, np.nextafter(1.0, 0.0))[:, None] * below[:, -1:]).sum(axis=1)
+            return self._grid[chosen].astype(np.float32)
+        return np.asarray(self._session.run(["mean"], feed)[0] + np.exp(self.card.log_std) * noise, np.float32)
 
     def _check_graph(self, source: str) -> dict[str, tuple[int, ...]]:
         inputs = {node.name: node for node in self._session.get_inputs()}
@@ -75,6 +87,7 @@ class OnnxPolicy:
             if not isinstance(shape[0], str):
                 raise ValueError(f"{source}: input {name} has the fixed batch size {shape[0]}, expected any")
         outputs = [node.name for node in self._session.get_outputs()]
-        if outputs != ["mean"]:
-            raise ValueError(f"{source} has the outputs {outputs}, expected ['mean']")
+        expected = ["mean", "log_probs"] if self.card.chooses else ["mean"]
+        if outputs != expected:
+            raise ValueError(f"{source} has the outputs {outputs}, expected {expected}")
         return {name: tuple(node.shape[1:]) for name, node in inputs.items()}

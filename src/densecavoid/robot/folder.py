@@ -81,6 +81,11 @@ class FolderPilot:
         return self._navigator.observation
 
     @property
+    def noise(self) -> np.ndarray | None:
+        """What the last command was drawn with; none if it is the policy's likeliest."""
+        return self._navigator.noise
+
+    @property
     def tracks(self) -> Tracks:
         """Everybody tracked, a batch of one."""
         return self._navigator.tracks if self._legs is None else self._tracker.tracks
