@@ -25,7 +25,7 @@ class DiagonalGaussian(NamedTuple):
 
     @property
     def mode(self) -> Float[Tensor, "B 2"]:
-        """The likeliest command: what a robot drives."""
+        """The likeliest command."""
         return self.mean
 
     @property
@@ -64,7 +64,7 @@ class GridChoice(NamedTuple):
 
     @property
     def mode(self) -> Float[Tensor, "B 2"]:
-        """The likeliest command: what a robot drives."""
+        """The likeliest command."""
         return self.grid[self.log_probs.argmax(dim=1)]
 
     @property
