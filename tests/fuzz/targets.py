@@ -138,8 +138,8 @@ def _policy_onnx(card: bytes) -> bytes:
 
     floats, bytes_ = TensorProto.FLOAT, TensorProto.UINT8
     inputs = [("lidar", floats, [3, 512]), ("camera", bytes_, [60, 80]), ("goal", floats, [2])]
-    inputs += [("velocity", floats, [2]), ("prediction", bytes_, [60, 80])]
-    return _onnx("densecavoid.policy", card, inputs, [("mean", 2)])
+    inputs += [("velocity", floats, [2]), ("prediction", bytes_, [60, 80]), ("worth", floats, [25])]
+    return _onnx("densecavoid.policy", card, inputs, [("mean", 2), ("log_probs", 25)])
 
 
 def _detector_onnx(card: bytes) -> bytes:

@@ -177,7 +177,7 @@ def best_command(observation: Observation) -> tuple[float, float]:
 def test_commands_are_weighed_by_what_the_map_and_the_way_say() -> None:
     """Straight where nothing is known, round a wall by the nearer end, and not at all where nobody asks."""
     weighs = ObserverConfig(people_from="nothing", route_every_s=0.1, weighs_commands=True, threads=1)
-    open_way, wall = frame_of_wall((0.0, 0.1, 0.0), (9.0, 9.0)), frame_of_wall((1.0, 0.1, 0.0), (-1.0, 1.0))
+    open_way, wall = frame_of_wall((0.0, 0.0, 0.0), (9.0, 9.0)), frame_of_wall((1.0, 0.4, 0.0), (-1.0, 1.0))
     assert best_command(Observer(weighs, 1).observe(open_way)) == (1.0, 0.0)
     sees = Observer(weighs, 1)
     for _ in range(2):
