@@ -18,6 +18,7 @@ from jaxtyping import Bool
 from densecavoid.baselines.surroundings import ScanPoints, WayAround
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, require
 from densecavoid.perception.people_around import nobody
+from densecavoid.perception.route import AHEAD_M
 from densecavoid.sim._jit import kernel
 
 
@@ -198,7 +199,8 @@ class Dwa:
             ValueError: when the scan has another number of rays than the lidar that this navigator was made for.
         """
         config, robot = self.config, self.robot
-        goal, _ = self._way.next_place(frame, nobody(frame.num_worlds))
+        distance, bearing = self._way.see(frame, nobody(frame.num_worlds))
+        goal = np.minimum(distance, AHEAD_M)[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         out = np.zeros((frame.num_worlds, 2))
         best_arcs(
             self._scan.of(frame.scan_m),

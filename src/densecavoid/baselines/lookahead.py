@@ -10,10 +10,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool
 
-from densecavoid.baselines.surroundings import PeopleAround
+from densecavoid.baselines.surroundings import PeopleAround, WayAround
 from densecavoid.frames import CameraConfig, Command, LidarConfig, RobotConfig, SensorFrame, require
 from densecavoid.perception.outlook import Outlook, OutlookConfig
-from densecavoid.perception.route import Route
 
 
 class Lookahead:
@@ -38,10 +37,10 @@ class Lookahead:
         """
         self.robot = robot
         self.name = "lookahead" if source == "tracks" else "lookahead-privileged"
-        self._sensors, self._threads = (lidar, camera), threads
         self._people = PeopleAround(source, lidar, camera, standing=True)
+        self._way = WayAround(robot, lidar, camera, every_s=0.0, threads=threads)
         self._outlook = Outlook(config or OutlookConfig(), robot, threads)
-        self._begin(1)
+        self._worth = np.zeros((1, len(self._outlook.commands)), np.float32)
 
     @property
     def privileged(self) -> bool:
@@ -51,10 +50,8 @@ class Lookahead:
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets the marked worlds; their number sets the batch size."""
         self._people.reset(which)
-        if len(which) != len(self._worth):
-            self._begin(len(which))
-        else:
-            self._route.reset(which)
+        self._way.reset(which)
+        self._worth = np.zeros((len(which), len(self._outlook.commands)), np.float32)
 
     def act(self, frame: SensorFrame) -> Command:
         """The command for each world.
@@ -65,11 +62,7 @@ class Lookahead:
         require(frame.num_worlds == len(self._worth), "worlds", frame.num_worlds, f"{len(self._worth)}")
         everywhere = np.ones(frame.num_worlds, np.bool_)
         people = self._people.see(frame)
-        self._route.update(frame, people, everywhere)
-        self._outlook.look(self._route.around(frame, people), everywhere, self._worth)
+        self._way.see(frame, people)
+        self._outlook.look(self._way.around(frame, people), everywhere, self._worth)
         chosen = self._outlook.commands[self._worth.argmax(axis=1)].astype(np.float32)
         return Command(chosen[:, 0], chosen[:, 1])
-
-    def _begin(self, num_worlds: int) -> None:
-        self._route = Route(*self._sensors, 1, num_worlds, self._threads, self.robot)
-        self._worth = np.zeros((num_worlds, len(self._outlook.commands)), np.float32)

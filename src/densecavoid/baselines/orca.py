@@ -196,8 +196,7 @@ class Orca:
         """
         config, limit = self.config, self.robot.max_linear_velocity
         people = self._people.see(frame)
-        place, distance = self._way.next_place(frame, people)
-        bearing = np.arctan2(place[:, 1], place[:, 0])
+        distance, bearing = self._way.see(frame, people)
         wish = np.minimum(limit, distance)[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         own = np.stack([frame.velocity[:, 0].astype(np.float64), np.zeros(frame.num_worlds)], axis=1)
         grown = config.body_m + config.tracking_error_m

@@ -84,8 +84,7 @@ class SocialForce:
         config = self.config
         people = self._people.see(frame)
         points = self._scan.of(frame.scan_m, people)
-        place, distance = self._way.next_place(frame, people)
-        bearing = np.arctan2(place[:, 1], place[:, 0])
+        distance, bearing = self._way.see(frame, people)
         to_goal = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         own = np.stack([frame.velocity[:, 0].astype(np.float64), np.zeros(frame.num_worlds)], axis=1)
         speed = np.minimum(self.robot.max_linear_velocity, distance)

@@ -7,6 +7,7 @@ ground truth.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -14,11 +15,9 @@ from jaxtyping import Bool, Float
 
 from densecavoid.env.observation import Observer, ObserverConfig
 from densecavoid.frames import CameraConfig, LidarConfig, RobotConfig, SensorFrame, choose, goal_polar, require
+from densecavoid.perception.outlook_kernels import Around
 from densecavoid.perception.people_around import People, people_around, people_of
-from densecavoid.perception.route import AHEAD_M, Route
-
-_LOOK_EVERY_S = 0.5
-"""So often the way is looked for anew."""
+from densecavoid.perception.route import Route
 
 
 class PeopleAround:
@@ -73,42 +72,56 @@ class PeopleAround:
 class WayAround:
     """Where to go next: a place on the shortest way to the goal, as policies are shown it (`perception.route`)."""
 
-    def __init__(self, robot: RobotConfig, lidar: LidarConfig, camera: CameraConfig, control_dt_s: float = 0.1) -> None:
+    def __init__(
+        self,
+        robot: RobotConfig,
+        lidar: LidarConfig,
+        camera: CameraConfig,
+        control_dt_s: float = 0.1,
+        every_s: float = 0.5,
+        threads: int = 0,
+    ) -> None:
         """
         Args:
             robot: what begins above its height is in nobody's way.
             lidar, camera: whose frames it will be given.
             control_dt_s: between two frames.
+            every_s: so often the way is looked for anew; 0: with every frame.
+            threads: over the worlds; 0 takes all cores.
         """
-        self._sensors, self._robot = (lidar, camera), robot
-        self._every_steps = max(1, round(_LOOK_EVERY_S / control_dt_s))
+        every_steps = max(1, round(every_s / control_dt_s))
+        self._make = partial(Route, lidar, camera, every_steps, threads=threads, robot=robot)
         self._route: Route | None = None
         self._num_worlds = 0
 
     def reset(self, which: Bool[np.ndarray, "B"]) -> None:
         """Forgets the marked worlds; their number sets the batch size."""
         if self._route is None or len(which) != self._num_worlds:
-            self._begin(len(which))
+            self._route, self._num_worlds = self._make(num_worlds=len(which)), len(which)
         else:
             self._route.reset(which)
 
-    def next_place(self, frame: SensorFrame, people: People) -> tuple[Float[np.ndarray, "B 2"], Float[np.ndarray, "B"]]:
-        """The place in the robot's frame (m), and how far it is to the goal (m) straight on.
+    def see(self, frame: SensorFrame, people: People) -> tuple[Float[np.ndarray, "B"], Float[np.ndarray, "B"]]:
+        """Takes in one more frame.
 
         Args:
             frame: of the sensors.
             people: who is known: those who stand are in the way, those who walk leave no trail in the map.
+
+        Returns:
+            Distance to the goal (m), straight on, and bearing (rad) of the next place.
         """
         if self._route is None:
-            self._begin(frame.num_worlds)
+            self.reset(np.ones(frame.num_worlds, np.bool_))
         assert self._route is not None
         _, bearing = self._route.update(frame, people, np.ones(frame.num_worlds, np.bool_))
         distance, _ = goal_polar(frame.odom_pose, frame.goal_odom)
-        return np.minimum(distance, AHEAD_M)[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1), distance
+        return distance, bearing
 
-    def _begin(self, num_worlds: int) -> None:
-        self._num_worlds = num_worlds
-        self._route = Route(*self._sensors, self._every_steps, num_worlds, robot=self._robot)
+    def around(self, frame: SensorFrame, people: People) -> Around:
+        """What the way was looked for in, after `see` of the same."""
+        assert self._route is not None
+        return self._route.around(frame, people)
 
 
 class ScanPoints:
