@@ -139,7 +139,8 @@ def _policy_onnx(card: bytes) -> bytes:
     floats, bytes_ = TensorProto.FLOAT, TensorProto.UINT8
     inputs = [("lidar", floats, [3, 512]), ("camera", bytes_, [60, 80]), ("goal", floats, [2])]
     inputs += [("velocity", floats, [2]), ("prediction", bytes_, [60, 80]), ("worth", floats, [25])]
-    return _onnx("densecavoid.policy", card, inputs, [("mean", 2), ("log_probs", 25)])
+    chooses = b'"log_std": null' in card
+    return _onnx("densecavoid.policy", card, inputs, [("mean", 2), ("log_probs", 25)] if chooses else [("mean", 2)])
 
 
 def _detector_onnx(card: bytes) -> bytes:
@@ -156,9 +157,14 @@ def _shipped_card(package: str, name: str, key: str) -> bytes:
     return Shelf("network", package).open(name, 1).metadata[key].encode()
 
 
-def _policy_card() -> bytes:
-    card = json.loads(_shipped_card("densecavoid.policy", "densecavoid", "densecavoid.policy"))
+def _policy_card(name: str = "densecavoid") -> bytes:
+    card = json.loads(_shipped_card("densecavoid.policy", name, "densecavoid.policy"))
     return json.dumps(card | {"training": {}}).encode()
+
+
+def _policy_cards() -> list[bytes]:
+    """Of one that chooses among commands, and of a Gaussian."""
+    return [_policy_card(), _policy_card("depth-lidar")]
 
 
 def _detector_card() -> bytes:
@@ -318,8 +324,8 @@ TARGETS: dict[str, Target] = {
     "bag": Target(_read_bag, ".bag", _bag_seeds(".bag"), _BAGS, ("rosbags",)),
     "mcap": Target(_read_bag, ".mcap", _bag_seeds(".mcap"), _BAGS, ("rosbags",)),
     "db3": Target(_read_bag, ".db3", _bag_seeds(".db3"), _BAGS, ("rosbags",)),
-    "onnx": Target(_read_policy, ".onnx", lambda: [_policy_onnx(_policy_card())], _CARDS, ("onnx",)),
-    "policy-card": Target(_read_policy, ".onnx", lambda: [_policy_card()], _CARDS, ("onnx",), _policy_onnx),
+    "onnx": Target(_read_policy, ".onnx", lambda: [_policy_onnx(card) for card in _policy_cards()], _CARDS, ("onnx",)),
+    "policy-card": Target(_read_policy, ".onnx", _policy_cards, _CARDS, ("onnx",), _policy_onnx),
     "detector-card": Target(
         _read_detector,
         ".onnx",

@@ -22,11 +22,11 @@ _SOURCES: dict[str, PeopleFrom] = {":truth": "truth", ":boxes": "boxes", ":nothi
 """What may follow a policy's name, to compare with: people's places from elsewhere than its own detector."""
 
 
-LEARNED = ("densecavoid", "depth-lidar", "depth")
+_LEARNED = ("densecavoid", "depth-lidar", "depth")
 """Policies that come with the package."""
 
 _NAVIGATORS: dict[str, Callable[[RobotConfig], Navigator]] = {
-    **{name: lambda robot, name=name: _policy(name) for name in LEARNED},
+    **{name: lambda robot, name=name: _policy(name) for name in _LEARNED},
     "frozone": lambda robot: Frozone(_policy("densecavoid"), robot),
     "dwa": Dwa,
     "social-force": SocialForce,
