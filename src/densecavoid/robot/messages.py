@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int64, UInt16
 
 from densecavoid.frames import CameraConfig, LidarConfig, require
 
@@ -49,11 +49,36 @@ class Scan:
 
 @dataclass(frozen=True)
 class DepthImage:
-    """A depth image in metres along the optical axis; NaN where there is none (REP-118)."""
+    """A depth image as it was sent (REP-118): metres are worked out only of what is looked at."""
 
     stamp_s: float
     frame: str
-    depth_m: Float32[np.ndarray, "height width"]
+    pixels: UInt16[np.ndarray, "height width"] | Float32[np.ndarray, "height width"]
+    """Millimetres with 0 for none, or metres."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.pixels.shape[0], self.pixels.shape[1]
+
+    @property
+    def depth_m(self) -> Float32[np.ndarray, "height width"]:
+        """Metres along the optical axis; NaN where there is none."""
+        return _metres(self.pixels)
+
+    def at(self, places: Int64[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
+        """The same of some pixels, counted row by row."""
+        return _metres(self.pixels.ravel()[places])
+
+
+def _metres(pixels: np.ndarray) -> np.ndarray:
+    depth = pixels.astype(np.float32)
+    if pixels.dtype.kind == "u":
+        depth *= np.float32(1e-3)
+        depth[pixels == 0] = np.nan
+    else:
+        depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
+    return depth
 
 
 @dataclass(frozen=True)
@@ -154,13 +179,7 @@ def depth_from_ros(message: Any) -> DepthImage:
     pixels = np.ascontiguousarray(rows).view(kind)
     if bool(message.is_bigendian) != (sys.byteorder == "big"):
         pixels = pixels.byteswap()
-    if kind.kind == "u":
-        depth = pixels.astype(np.float32) * np.float32(1e-3)
-        depth[pixels == 0] = np.nan
-    else:
-        depth = pixels.astype(np.float32)
-        depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
-    return DepthImage(stamp_of(message.header), message.header.frame_id, depth)
+    return DepthImage(stamp_of(message.header), message.header.frame_id, pixels)
 
 
 def intrinsics_from_ros(message: Any) -> Intrinsics:
@@ -334,7 +353,7 @@ def intrinsics_of(image: DepthImage, intrinsics: Intrinsics | None, camera: Came
     Raises:
         ValueError: if the camera_info's shape is not the image's.
     """
-    height, width = image.depth_m.shape
+    height, width = image.shape
     if intrinsics is None:
         focal_x = width / 2 / math.tan(camera.fov_horizontal_rad / 2)
         focal_y = height / 2 / math.tan(camera.fov_vertical_rad / 2)
@@ -350,6 +369,10 @@ def intrinsics_of(image: DepthImage, intrinsics: Intrinsics | None, camera: Came
     return Intrinsics(width, height, scale * intrinsics.focal_x, scale * intrinsics.focal_y, *centre)
 
 
+_AROUND = np.array([(dv, du) for dv in (-1, 0, 1) for du in (-1, 0, 1)])
+"""Rows and columns to a pixel and to those beside it."""
+
+
 class DepthResampler:
     """Depth images of any size as the policy's camera would see them from where it sits: the pixel on each of its rays,
     and where that has no depth the nearest of the pixels around it. Keeps the table of pixels of one camera."""
@@ -357,7 +380,8 @@ class DepthResampler:
     def __init__(self, camera: CameraConfig) -> None:
         self.camera = camera
         self._seen: Intrinsics | None = None
-        self._pixels: np.ndarray = np.zeros(0, np.int64)
+        self._rows: np.ndarray = np.zeros(0, np.int64)
+        self._columns: np.ndarray = np.zeros(0, np.int64)
         self._outside: np.ndarray = np.zeros(0, np.bool_)
 
     def __call__(self, image: DepthImage, intrinsics: Intrinsics | None) -> Float32[np.ndarray, "rows columns"]:
@@ -365,13 +389,12 @@ class DepthResampler:
         seen = intrinsics_of(image, intrinsics, self.camera)
         if seen != self._seen:
             self._look_up(seen)
-        padded = np.pad(image.depth_m, 1, constant_values=np.nan).ravel()
-        out = padded[self._pixels]
+        out = image.at(self._rows * seen.width + self._columns)
         holes = np.flatnonzero(np.isnan(out) & ~self._outside)
         if len(holes):
-            stride = seen.width + 2
-            around = np.array([dv * stride + du for dv in (-1, 0, 1) for du in (-1, 0, 1)])
-            out[holes] = np.fmin.reduce(padded[self._pixels[holes, None] + around], axis=1)
+            rows = (self._rows[holes] + _AROUND[:, :1]).clip(0, seen.height - 1)
+            columns = (self._columns[holes] + _AROUND[:, 1:]).clip(0, seen.width - 1)
+            out[holes] = np.fmin.reduce(image.at(rows * seen.width + columns), axis=0)
         out[self._outside] = np.nan
         return out.reshape(self.camera.height, self.camera.width)
 
@@ -380,6 +403,7 @@ class DepthResampler:
         columns = np.floor(seen.centre_x - seen.focal_x * camera.column_slopes + 0.5).astype(np.int64)
         rows = np.floor(seen.centre_y - seen.focal_y * camera.row_slopes + 0.5).astype(np.int64)
         inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
-        pixels = (rows.clip(0, height - 1)[:, None] + 1) * (width + 2) + columns.clip(0, width - 1)[None] + 1
-        self._pixels, self._outside = pixels.ravel(), ~inside.ravel()
+        grid = np.broadcast_arrays(rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)[None])
+        self._rows, self._columns = (places.ravel() for places in grid)
+        self._outside = ~inside.ravel()
         self._seen = seen

@@ -176,7 +176,7 @@ def reproject(
     shift = place.rotation.T @ (mount.pos_m - place.pos_m)
     target_x, target_y = camera.focal_px
     finer = min(seen.focal_x / target_x, seen.focal_y / target_y)
-    step = min(max(1, math.ceil(finer / _MOST_SAMPLES - 0.01)), *image.depth_m.shape)
+    step = min(max(1, math.ceil(finer / _MOST_SAMPLES - 0.01)), *image.shape)
     drawn = np.full((camera.height, camera.width), np.inf, np.float32)
     _draw(
         _sample(np.ascontiguousarray(image.depth_m), step),

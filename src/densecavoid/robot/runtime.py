@@ -160,7 +160,7 @@ class RobotRuntime:
                 fault = f"only {share:.1%} of its pixels have depth: {why}"
         except ValueError as error:
             fault = str(error)
-        refused = self.watchdog.check("depth", now_s, ros_now_s, image.stamp_s, image.frame, image.depth_m.shape, fault)
+        refused = self.watchdog.check("depth", now_s, ros_now_s, image.stamp_s, image.frame, image.shape, fault)
         if not refused and depth is not None:
             self._depth_m = depth[None]
         return refused
