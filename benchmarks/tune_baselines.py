@@ -82,7 +82,8 @@ NAVIGATORS: dict[str, tuple[Any, Callable[[Any], Navigator], Ranges]] = {
         {
             "slip": (0.03, 0.2),
             "margin_m": (0.0, 0.06),
-            "near_person_cost": (0.005, 0.1),
+            "near_person_risk": (0.005, 0.1),
+            "turned_risk": (0.0, 0.3),
             "near_thing_slower": (0.5, 6.0),
             "beyond_slower": (1.2, 2.5),
             "doubt_m_s": (0.0, 0.2),

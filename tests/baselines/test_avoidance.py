@@ -130,7 +130,7 @@ def test_scan_points_are_the_nearest_of_their_sectors_and_not_peoples():
                 assert np.isnan(found[b, s]).all()
     ahead = np.full((1, 240), 2.0, np.float32)
     one = np.ones((1, 1))
-    known = People(np.array([[[2.2, 0.0]]]), np.zeros((1, 1, 2)), 0.25 * one, one > 0)
+    known = People(np.array([[[2.2, 0.0]]]), np.zeros((1, 1, 2)), 0.25 * one, one > 0, np.zeros(1))
     points = ScanPoints(lidar, 24).of(ahead, known)[0]
     angle = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     assert np.nanmin(np.abs(angle)) > 5.0 and np.isfinite(points).all(axis=1).sum() >= 20

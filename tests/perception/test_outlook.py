@@ -45,6 +45,7 @@ def around(worlds: list[tuple[tuple[float, float], np.ndarray]], points: np.ndar
         persons[..., 2:4].copy(),
         persons[..., 4].copy(),
         there,
+        np.zeros(B),
         np.stack([straight_ways(goal) for goal in goals]),
         np.zeros((B, 3)),
     )
@@ -190,7 +191,7 @@ def searched_worth(config: OutlookConfig, command: np.ndarray, goal: tuple[float
 @pytest.mark.parametrize("seed", range(6))
 def test_commands_are_worth_what_a_search_over_all_sequences_finds(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    config = OutlookConfig(horizon_s=1.6, slip=0.0, near_person_cost=0.0)
+    config = OutlookConfig(horizon_s=1.6, slip=0.0, near_person_risk=0.0)
     bearing, goal_m = rng.uniform(-2, 2), rng.uniform(3, 9)
     goal = goal_m * math.cos(bearing), goal_m * math.sin(bearing)
     people = np.zeros((2, 5))
@@ -216,6 +217,18 @@ def test_who_comes_head_on_is_avoided_in_time() -> None:
     assert COMMAND_GRID[found.argmax()][0] > 0 and COMMAND_GRID[found.argmax()][1] < 0
 
 
+def test_where_people_turn_they_are_less_surely_where_they_would_be_and_more_likely_beside() -> None:
+    straight = (COMMAND_GRID == [1.0, 0.0]).all(axis=1).argmax()
+    # Somebody comes towards the robot between walls; somebody stands beside its way.
+    walls = np.concatenate([np.column_stack([np.arange(-1, 9, 0.1), np.full(100, y)]) for y in (-0.6, 0.6)])
+    comes, stands = np.array([[4.0, 0.0, -0.5, 0.0, 0.25]]), np.array([[1.5, 0.75, 0.0, 0.0, 0.25]])
+    for people, points, risk, sign in ((comes, walls, 0.0, 1.0), (stands, None, 0.15, -1.0)):
+        outlook = Outlook(OutlookConfig(near_person_risk=0.0, turned_risk=risk), ROBOT, 1)
+        known = around([((9.0, 0.0), people)], points)
+        found = [look(outlook, known._replace(turns_per_s=np.array([often])))[0, straight] for often in (0.0, 0.1, 0.4)]
+        assert (sign * np.diff(found) > 0.003).all(), found
+
+
 @pytest.mark.parametrize("bearing", [math.pi, -3.0, 2.0, -1.0])
 def test_nothing_is_put_off(bearing: float) -> None:
     """However long the turn that the way begins with: standing, to do so later, is worth less."""
@@ -226,7 +239,14 @@ def test_nothing_is_put_off(bearing: float) -> None:
 
 @pytest.mark.parametrize(
     "values",
-    [{"horizon_s": 0.5}, {"slip": 1.0}, {"cell_m": 0.0}, {"near_person_cost": -1.0}, {"beyond_slower": 0.9}],
+    [
+        {"horizon_s": 0.5},
+        {"slip": 1.0},
+        {"cell_m": 0.0},
+        {"near_person_risk": -1.0},
+        {"turned_risk": 1.1},
+        {"beyond_slower": 0.9},
+    ],
 )
 def test_settings_that_make_no_sense_are_refused(values: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(values))):

@@ -84,7 +84,7 @@ def test_what_is_gone_is_cleared_and_what_is_known_of_one_world_is_not_of_anothe
     for sim in (here, empty):
         sim.reset(np.zeros(1, np.int64))
     seen = StaticMap(LidarConfig(), CameraConfig(), RobotConfig(), 1, 1)
-    nobody = People(np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), np.zeros((1, 1)), np.zeros((1, 1), np.bool_))
+    nobody = People(np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), np.zeros((1, 1)), np.zeros((1, 1), np.bool_), np.zeros(1))
 
     def see(sim: Simulator, times: int) -> None:
         for _ in range(times):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from densecavoid.frames import CameraConfig, LidarConfig
 from densecavoid.perception.detections import MAX_DETECTIONS, Detections, allocate_detections
 from densecavoid.perception.kalman import imm_begin, imm_correct, imm_predict, kalman_correct, kalman_predict
+from densecavoid.perception.people_around import turns_per_s
 from densecavoid.perception.tracker import Sighting, Tracker
 from densecavoid.perception.tracker_settings import MAX_UNSEEN_S, TrackerSettings
 from densecavoid.perception.tracks import HISTORY, MAX_TRACKS
@@ -147,6 +148,24 @@ def test_the_velocity_of_who_walks_on_is_better_known_than_one_model_knows_it_an
                 alone.append(np.hypot(*(state[2:] - velocity[k])))
     assert np.median(wrong) < 0.6 * np.median(alone)
     assert np.median(late) < 0.15  # 1.2 s after a right angle
+
+
+def test_how_often_people_turn_is_told_from_how_they_have_moved():
+    """In the first of two worlds they walk straight on, in the second they turn by up to right angles every 2 s."""
+    rng = np.random.default_rng(2)
+    tracker, places = Tracker(2), np.array([[[4.0, -1.0], [6.0, 1.0]]] * 2)
+    heading, told = np.zeros((2, 2)), []
+    for step in range(150):
+        if step % 20 == 19:
+            heading[1] += rng.uniform(0.5, 1.6, 2) * rng.choice([-1, 1], 2)
+        places = places + 0.5 * DT * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        run(tracker, [camera(found(*(places + rng.normal(0, 0.03, places.shape)), std=0.03))])
+        told.append(turns_per_s(tracker.tracks))
+    often = np.array(told)
+    assert (often[:10] == 0.0).all()  # as long as nothing is known
+    assert often[-1, 0] == 0.0 and 0.3 < often[-1, 1] < 2.0
+    tracker.reset(np.array([False, True]))
+    assert (turns_per_s(tracker.tracks) == 0.0).all()
 
 
 def test_people_who_cross_one_metre_apart_keep_their_labels():

@@ -59,8 +59,13 @@ class OutlookConfig:
     """and so much more."""
     near_person_m: float = 0.3
     """Nearer than this beyond that is unwelcome beside people,"""
-    near_person_cost: float = 0.05
-    """and costs up to so much a moment, less the farther away (squared),"""
+    near_person_risk: float = 0.035
+    """and up to so likely a collision in each moment, less the farther away (squared)."""
+    turned_risk: float = 0.15
+    """Likelier by so much beside somebody who has surely taken another course by then. As likely as that is, they are
+    less likely where they would be otherwise."""
+    turned_reach: float = 0.5
+    """Of the way that they walk until then, by which what is beside them grows when they surely have."""
     near_thing_m: float = 0.25
     """Nearer than this beside things, time counts more,"""
     near_thing_slower: float = 2.0
@@ -69,7 +74,7 @@ class OutlookConfig:
     """So many times what it takes to go and turn is reckoned beyond the horizon. What promised more than driving can
     keep would have the robot wait for good: it would always be better to go later."""
     doubt_m_s: float = 0.1
-    """By which the unwelcome distance grows with the time until then: people change their mind."""
+    """By which the unwelcome distance grows with the time until then, however steadily people walk."""
     goal_m: float = 0.25
     """Nearer to the goal is there; the rules ask for .3 m."""
 
@@ -77,9 +82,11 @@ class OutlookConfig:
         for name in ("horizon_s", "hold_s", "cell_m", "body_m", "near_person_m", "near_thing_m", "goal_m"):
             value = getattr(self, name)
             require(value > 0 and math.isfinite(value), f"OutlookConfig.{name}", value, "positive")
-        for name in ("margin_m", "near_person_cost", "near_thing_slower", "doubt_m_s"):
+        for name in ("margin_m", "turned_reach", "near_thing_slower", "doubt_m_s"):
             value = getattr(self, name)
             require(value >= 0 and math.isfinite(value), f"OutlookConfig.{name}", value, "0 or more")
+        for name in ("near_person_risk", "turned_risk"):
+            require(0 <= getattr(self, name) <= 1, f"OutlookConfig.{name}", getattr(self, name), "in [0, 1]")
         require(0 < self.discount < 1, "OutlookConfig.discount", self.discount, "in (0, 1)")
         require(0 <= self.slip < 1, "OutlookConfig.slip", self.slip, "in [0, 1)")
         require(1 <= self.beyond_slower < 10, "OutlookConfig.beyond_slower", self.beyond_slower, "in [1, 10)")
@@ -166,7 +173,9 @@ class Outlook:
             body_m=config.body_m,
             margin_m=config.margin_m,
             near_person_m=config.near_person_m,
-            near_person_cost=config.near_person_cost,
+            near_person_risk=config.near_person_risk,
+            turned_risk=config.turned_risk,
+            turned_reach=config.turned_reach,
             near_thing_m=config.near_thing_m,
             near_thing_slower=config.near_thing_slower,
             beyond_slower=config.beyond_slower,

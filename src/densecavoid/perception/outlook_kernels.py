@@ -14,8 +14,10 @@ import numpy as np
 from densecavoid.perception.ways import raise_around
 from densecavoid.sim._jit import inner, kernel
 
-_TAKEN = np.float32(1e3)
+_TAKEN = 1e3
+_ONE = np.float32(1.0)
 SIDE_BY_SIDE = 8  # worlds that are reckoned together: then loops are long enough, and values not yet out of the cache
+_MOMENTS_NEAR = 3.0  # in which the robot is as near to the same person
 _BESIDE_PERSON_M, _BESIDE_THING_M = 0.1, 0.02  # so far beyond a collision a command that is held begins to cost
 _FARTHEST_M = 20.0  # a longer way counts so much: discounted, nothing is worth anything to who has far to go
 _TURNED_ROUND = 0.6  # share of the time to turn on the spot that heading elsewhere costs: robots drive on as they turn
@@ -33,7 +35,9 @@ class Rules(NamedTuple):
     body_m: float
     margin_m: float
     near_person_m: float
-    near_person_cost: float
+    near_person_risk: float
+    turned_risk: float
+    turned_reach: float
     near_thing_m: float
     near_thing_slower: float
     beyond_slower: float
@@ -54,6 +58,7 @@ class Around(NamedTuple):
     vel: np.ndarray  # f64 [B, P, 2] over ground,
     radius: np.ndarray  # f64 [B, P],
     there: np.ndarray  # bool [B, P] if they are
+    turns_per_s: np.ndarray  # f64 [B] how often people change their course there
     way: np.ndarray  # f32 [B, C, C] length of the way to the goal (m), from the cells of a square grid
     way_from: np.ndarray  # f64 [B, 3] pose of the robot in that grid, whose middle is (0, 0)
 
@@ -83,7 +88,7 @@ class Room(NamedTuple):
     ground: np.ndarray  # f32 [N, W, X, Y]
     scratch: np.ndarray  # f32 [N, X, Y]
     kept: np.ndarray  # f32 [N, X, Y * W]
-    cost: np.ndarray  # f32 [N, X, Y * W]
+    risk: np.ndarray  # f32 [N, X, Y * W]
     halfway: np.ndarray  # f32 [N, X, Y * W]
     worth: np.ndarray  # f32 [N, X, Y * W]
     ahead: np.ndarray  # i32 [N, X, Y * W]
@@ -106,7 +111,7 @@ def make_room(lattice: Lattice, threads: int, wide: int) -> Room:
         ground=np.zeros((threads, wide, size_x, lattice.size_y), np.float32),
         scratch=np.zeros((threads, size_x, lattice.size_y), np.float32),
         kept=plane(),
-        cost=plane(),
+        risk=plane(),
         halfway=plane(),
         worth=plane(),
         ahead=plane(np.int32),
@@ -158,7 +163,7 @@ def _end_of_ways(worth, ahead, ground, around, b, lattice, rules, one, many):
 
     Args:
         worth, ahead: f32, i32 [X, Y * many], written: heading -1 where it does not matter.
-        ground: f32 [X, Y] cost of being in a cell.
+        ground: f32 [X, Y] risk of being in a cell.
         one, many: which of how many worlds it is.
     """
     headings, way = lattice.spans.shape[1], around.way[b]
@@ -178,7 +183,7 @@ def _end_of_ways(worth, ahead, ground, around, b, lattice, rules, one, many):
             ahead[i, n] = -1
             if off_x * off_x + off_y * off_y < rules.goal_m * rules.goal_m:
                 worth[i, n] = np.float32(1.0)
-            elif ground[i, j] >= _TAKEN:
+            elif ground[i, j] >= _ONE:
                 worth[i, n] = np.float32(rules.collision)
             else:
                 u = (at[0] + cos * x - sin * y - corner) / cell - 0.5
@@ -216,13 +221,13 @@ def _begin_at_the_end(values, worth, ahead, fade, lattice, rules, many):
 
 
 @kernel
-def _one_moment_before(now, following, best, total, cost, halfway, kept, is_goal, k, lattice, rules, many):
+def _one_moment_before(now, following, best, total, risk, halfway, kept, is_goal, k, lattice, rules, many):
     """Values [H, X, Y * many] after moment k, in the cells and headings that can be reached by then.
 
     Args:
         following: a moment later.
         best, total: f32 [Y * many] room to work.
-        cost: f32 [X, Y * many] of being in a cell then,
+        risk: f32 [X, Y * many] of a collision in a cell then,
         halfway: f32 [X, Y * many] and half a moment later, on the way to the next.
         kept: f32 [X, Y * many] what is left of a cell's value because things are near.
         is_goal: bool [X, Y * many].
@@ -251,22 +256,22 @@ def _one_moment_before(now, following, best, total, cost, halfway, kept, is_goal
                 near, on = later[at_i, at_n:], at_n + many
                 if w00 == np.float32(1.0):  # to a cell's middle
                     for n in range(size):
-                        value = near[n] if passed[n] < _TAKEN else collision
+                        value = near[n] + passed[n] * (collision - near[n])
                         best[n] = max(best[n], value)
                         total[n] += value
                 else:
                     near_on, far, far_on = later[at_i, on:], later[at_i + 1, at_n:], later[at_i + 1, on:]
                     for n in range(size):
                         value = w00 * near[n] + w01 * near_on[n] + w10 * far[n] + w11 * far_on[n]
-                        value = value if passed[n] < _TAKEN else collision
+                        value += passed[n] * (collision - value)
                         best[n] = max(best[n], value)
                         total[n] += value
-            row, row_cost, row_goal = now[h, i, first:], cost[i, first:], is_goal[i, first:]
+            row, row_risk, row_goal = now[h, i, first:], risk[i, first:], is_goal[i, first:]
             row_kept = kept[i, first:]
             for n in range(size):
-                value = (meant * best[n] + spread * total[n]) * row_kept[n] - row_cost[n]
-                value = np.float32(1.0) if row_goal[n] else value
-                row[n] = collision if row_cost[n] >= _TAKEN else value
+                value = (meant * best[n] + spread * total[n]) * row_kept[n]
+                value = _ONE if row_goal[n] else value
+                row[n] = value + row_risk[n] * (collision - value)
 
 
 @inner
@@ -325,18 +330,25 @@ def _mark_ground(ground, kept, is_goal, around, b, lattice, rules):
         for j in range(ground.shape[1]):
             if is_goal[i, j]:  # whoever sets a goal beside things means it; people who stand there are another matter
                 ground[i, j] = 0.0
-            elif 0.0 < ground[i, j] < _TAKEN:
+            elif ground[i, j] < _TAKEN:
                 kept[i, j] = math.exp(math.log(rules.discount) * ground[i, j])
                 ground[i, j] = 0.0
+            else:
+                ground[i, j] = 1.0
 
 
 @inner
-def _mark_moment(cost, scratch, ground, k, time_s, around, b, lattice, rules):
-    """Writes what it costs in one world to be in each cell [X, Y] at a time, where the robot can be after moment k.
+def _mark_moment(risk, scratch, ground, k, time_s, around, b, lattice, rules):
+    """Writes how likely a collision is in one world in each cell [X, Y] at a time, where the robot can be after moment
+    k.
+
+    People go on as they do now, until they turn: the longer until then, the less surely they are where they would be,
+    and the farther from it they may be. As the robot is near the same person at some moments one after the other, the
+    chance is that of all of them together.
 
     Args:
         scratch: f32 [X, Y] room to work.
-        ground: f32 [X, Y] cells that are taken for good.
+        ground: f32 [X, Y] 1 where a thing is, 0 elsewhere.
     """
     first_i, last_i, first_j, last_j = lattice.boxes[k]
     box = scratch[first_i:last_i, first_j:last_j]
@@ -344,16 +356,20 @@ def _mark_moment(cost, scratch, ground, k, time_s, around, b, lattice, rules):
         for j in range(box.shape[1]):
             box[i, j] = ground[first_i + i, first_j + j]
     at = lattice.x0 + first_i * rules.cell_m, lattice.y0 + first_j * rules.cell_m, rules.cell_m
+    turned = 1.0 - math.exp(-around.turns_per_s[b] * time_s)
+    beside = rules.near_person_risk + rules.turned_risk * turned
+    inside = max(1.0 - turned ** (1.0 / _MOMENTS_NEAR), beside)
     for p in range(around.there.shape[1]):
         if around.there[b, p]:
             x = around.pos[b, p, 0] + time_s * around.vel[b, p, 0]
             y = around.pos[b, p, 1] + time_s * around.vel[b, p, 1]
-            reach = around.radius[b, p] + rules.body_m + rules.margin_m
-            beside = reach + rules.near_person_m + rules.doubt_m_s * time_s
-            raise_around(box, x, y, reach, beside, _TAKEN, rules.near_person_cost, *at)
+            hit = around.radius[b, p] + rules.body_m + rules.margin_m
+            speed = math.sqrt(around.vel[b, p, 0] ** 2 + around.vel[b, p, 1] ** 2)
+            reach = hit + rules.near_person_m + (rules.doubt_m_s + rules.turned_reach * turned * speed) * time_s
+            raise_around(box, x, y, hit, reach, inside, beside, *at)
     for i in range(box.shape[0]):
         for j in range(box.shape[1]):
-            cost[first_i + i, first_j + j] = box[i, j]
+            risk[first_i + i, first_j + j] = box[i, j]
 
 
 @inner
@@ -394,7 +410,7 @@ def worth_of_commands(first, last, shares, room, which, around, lattice, path, r
     for share in range(first, last):
         following, now = room.values[share, 0], room.values[share, 1]
         ground, scratch, kept = room.ground[share], room.scratch[share], room.kept[share]
-        cost, halfway = room.cost[share], room.halfway[share]
+        risk, halfway = room.risk[share], room.halfway[share]
         worth, ahead, is_goal = room.worth[share], room.ahead[share], room.is_goal[share]
         best, total, fade = room.best[share], room.total[share], room.fade[share]
         at, end = len(which) * share // shares, len(which) * (share + 1) // shares
@@ -416,9 +432,9 @@ def worth_of_commands(first, last, shares, room, which, around, lattice, path, r
                 for n in range(many):
                     of_world = scratch, ground[n]
                     known = around, together[n], lattice, rules
-                    _mark_moment(cost[:, n::many], *of_world, k, k * rules.hold_s, *known)
+                    _mark_moment(risk[:, n::many], *of_world, k, k * rules.hold_s, *known)
                     _mark_moment(halfway[:, n::many], *of_world, k + 1, (k + 0.5) * rules.hold_s, *known)
-                _one_moment_before(now, following, best, total, cost, halfway, kept, is_goal, k, lattice, rules, many)
+                _one_moment_before(now, following, best, total, risk, halfway, kept, is_goal, k, lattice, rules, many)
                 following, now = now, following
             for n in range(many):
                 _weigh(out, following, around, together[n], lattice, path, rules, n, many)

@@ -172,7 +172,7 @@ def _look(
         cos, sin = math.cos(pose[b, 2]), math.sin(pose[b, 2])
         off_x, off_y = places[b, 0] - pose[b, 0], places[b, 1] - pose[b, 1]
         shown_x, shown_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
-        seen, (pos, vel, radius, there) = points[b, : count[b]], people
+        seen, (pos, vel, radius, there, _) = points[b, : count[b]], people
         of_world = pos[b], vel[b], radius[b], there[b]
         if not due[b] and not _is_blocked(shown_x, shown_y, seen, of_world, rules):
             continue

@@ -29,6 +29,7 @@ _LEAST_STD_M = 0.02
 _FARTHEST_M = 1e4  # what is reported farther from the origin is no position
 _INSEPARABLE_M = 0.3  # nearer than that people do not stand (first percentile of neighbours' distances in crowds)
 _UNUSABLE = -3  # in place of a track: beside assignment.NOBODY and CONTESTED
+_HITS_TO_KNOW = 10  # after so many detections a velocity has settled: until then everybody seems to turn
 _SAME_PERSON_M = 0.5  # a leg so near to a tracked person is theirs
 
 
@@ -256,7 +257,7 @@ def _walks(tracks, settings, b, t):
 
 @kernel
 def _judge(first, last, which, tracks, settings, dt):
-    """Confirms tracks, gives up others, and keeps their histories."""
+    """Confirms tracks, gives up others, keeps their histories, and notes how people move."""
     for b in range(first, last):
         if not which[b]:
             continue
@@ -275,6 +276,9 @@ def _judge(first, last, which, tracks, settings, dt):
                 ago -= HISTORY_DT_S
             if tracks.existence[b, t] > settings.confirmed and not tracks.confirmed[b, t]:
                 tracks.confirmed[b, t] = tracks.by_camera[b, t] or _walks(tracks, settings, b, t)
+            if tracks.confirmed[b, t] and tracks.unseen_s[b, t] == 0.0 and tracks.hits[b, t] > _HITS_TO_KNOW:
+                tracks.watched_s[b] += dt
+                tracks.turning_s[b] += dt * tracks.modes[b, t, 1, 7]
         while tracks.clock_s[b] > HISTORY_DT_S - 1e-6:
             tracks.clock_s[b] = max(tracks.clock_s[b] - HISTORY_DT_S, 0.0)
 

@@ -32,6 +32,8 @@ class Tracks(NamedTuple):
     history_count: np.ndarray  # i32 [B, T] how many of them (from the end) are filled; 0 is possible for the newest
     clock_s: np.ndarray  # f64 [B] since the history's last entry
     next_id: np.ndarray  # i32 [B]
+    watched_s: np.ndarray  # f64 [B] time that people have been watched for, added up over them,
+    turning_s: np.ndarray  # f64 [B] and of it, as far as can be told, the time in which they turned
 
 
 def allocate_tracks(num_worlds: int) -> Tracks:
@@ -53,12 +55,15 @@ def allocate_tracks(num_worlds: int) -> Tracks:
         history_count=np.zeros(shape, np.int32),
         clock_s=np.zeros(num_worlds),
         next_id=np.zeros(num_worlds, np.int32),
+        watched_s=np.zeros(num_worlds),
+        turning_s=np.zeros(num_worlds),
     )
 
 
 @kernel
 def forget(tracks, b):
-    """Drops all tracks of world b."""
+    """Drops all tracks of world b, and what they told of people there."""
+    tracks.watched_s[b] = tracks.turning_s[b] = 0.0
     tracks.live[b] = False
     tracks.confirmed[b] = False
     tracks.clock_s[b] = 0.0
