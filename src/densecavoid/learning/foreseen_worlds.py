@@ -223,16 +223,19 @@ class ForeseenWorlds:
         return replace(world.spec, start_pose=start)
 
     def state_dict(self) -> dict[str, Any]:
-        """Which worlds are held; they are built anew on loading."""
+        """Which worlds are held; whoever does not hold them builds them anew on loading."""
         return {"numbers": [world.number for world in self._held if world is not None]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Builds the worlds that were held."""
-        building = [self._submit(int(number)) for number in state["numbers"]]
+        """Builds the worlds that were held and are not."""
+        numbers = [int(number) for number in state["numbers"]]
+        held = {world.number for world in self._held if world is not None}
+        building = [self._submit(number) for number in numbers if number not in held]
         for world in building:
             self._put(world.result())
-        self._building.clear()
-        self._taken = max(int(number) for number in state["numbers"]) + 1
+        if building:
+            self._building.clear()  # what comes next is other worlds than were ordered
+        self._taken = max(numbers) + 1
 
     def close(self) -> None:
         """Ends the processes that build."""

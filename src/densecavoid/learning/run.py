@@ -70,7 +70,12 @@ def train(
                 folder.check_resumable(config)
             else:
                 folder.create(config)
-        trainer = Trainer(config, make_envs, peers)
+        state = None
+        if resume:
+            # The first process reads it for all: other machines may not see its disk.
+            saved = folder.last_checkpoint.exists() and peers.is_first
+            state = peers.gather(load_checkpoint(folder.last_checkpoint) if saved else None)[0]
+        trainer = Trainer(config, make_envs, peers, state)
         try:
             return _run_all(trainer, folder, resume, console)
         except PeerLostError as error:
@@ -132,12 +137,6 @@ def _how_to_go_on(folder: RunFolder) -> str:
 
 def _run_all(trainer: Trainer, folder: RunFolder, resume: bool, console: Console | None) -> TrainResult:
     config, peers = trainer.config, trainer.peers
-    if resume:
-        # The first process reads it for all: other machines may not see its disk.
-        saved = folder.last_checkpoint.exists() and peers.is_first
-        state = peers.gather(load_checkpoint(folder.last_checkpoint) if saved else None)[0]
-        if state is not None:
-            trainer.load_state_dict(state)
     progress = Progress(config.total_steps, steps=trainer.steps)
     policy = folder.path / "policy.onnx"
     if not peers.is_first:

@@ -47,15 +47,18 @@ class Trainer:
         config: TrainConfig,
         make_envs: MakeEnvs = make_training_envs,
         peers: Peers = Peers(),  # noqa: B008
+        state: dict[str, Any] | None = None,
     ) -> None:
         """
         Args:
             config: settings.
             make_envs: builds the worlds; for tests.
             peers: the processes that train together.
+            state: of an earlier trainer, to go on from.
 
         Raises:
-            ValueError: if weights to start from, or a teacher's, are of another network than the settings ask for.
+            ValueError: if weights to start from, or a teacher's, are of another network than the settings ask for; or
+                as `load_state_dict`.
         """
         self.config = config
         self.peers = peers
@@ -79,7 +82,10 @@ class Trainer:
         if config.foresight.steps > 0:
             self.ppo_config = dataclasses.replace(config.ppo, discount=config.foresight.values.discount)
             self.foreseen = ForeseenWorlds(config.foresight, config.sim, config.seed)
-            self.foreseen.fill()
+            if state is None:
+                self.foreseen.fill()
+            else:
+                self.foreseen.load_state_dict(state["foreseen"])
         self.envs = make_envs(config, self.foreseen or self._scenario(), peers.rank * config.num_envs)
         self.collector = Collector(
             self.envs,
@@ -95,6 +101,8 @@ class Trainer:
         self.iteration = 0
         self.best_score = (-1, -1.0, -1.0)
         self.recent: dict[str, deque[bool]] = {}
+        if state is not None:
+            self.load_state_dict(state)
 
     @property
     def steps_per_iteration(self) -> int:

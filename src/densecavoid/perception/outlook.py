@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from densecavoid.foresight.field_kernels import steps_of_commands, steps_of_moments
+from densecavoid.foresight.field_kernels import SPEEDS, TURNS, steps_of_commands, steps_of_moments
 from densecavoid.frames import COMMAND_GRID, RobotConfig, require
 from densecavoid.perception.outlook_kernels import (
     SIDE_BY_SIDE,
@@ -115,7 +115,8 @@ def make_lattice(
     """Where a robot with these limits can be in the next moments, the commands that it chooses among now, and the poses
     on the way of each while it is held (m, m, rad)."""
     moments = round(horizon_s / hold_s)
-    steps = steps_of_moments(max_linear, max_angular, hold_s, cell_m)
+    is_half = np.repeat([speed not in (0.0, 1.0) for speed in SPEEDS], len(TURNS))
+    steps = steps_of_moments(max_linear, max_angular, hold_s, cell_m)[:, np.argsort(is_half, kind="stable")]
     headings = len(steps)
     cells = np.floor(steps[..., :2])
     u, v = np.moveaxis(steps[..., :2] - cells, -1, 0)
@@ -146,7 +147,8 @@ def make_lattice(
         empty = reached[..., 0] == reached[..., 1]
         box[:] = some[0], some[-1] + 1, np.where(empty, 2 * half, reached[..., 0]).min(), reached[..., 1].max()
     spans = np.ascontiguousarray(spans, np.int32)
-    return Lattice(x0, y0, offsets, weights, halfway, int(spans.max()), boxes, spans), commands, path
+    lattice = Lattice(x0, y0, offsets, weights, halfway, int((~is_half).sum()), int(spans.max()), boxes, spans)
+    return lattice, commands, path
 
 
 class Outlook:
