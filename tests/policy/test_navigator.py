@@ -214,20 +214,6 @@ def test_draws_of_a_world_do_not_depend_on_those_beside_it() -> None:
     assert abs(expected.mean()) < 0.1 and expected.std() == pytest.approx(1.0, abs=0.05)
 
 
-def test_draws_that_last_go_on_as_they_were_for_a_while() -> None:
-    lasting = EpisodeNoise(5, 1, persistence=0.8)
-    numbers = np.concatenate([lasting.next() for _ in range(20_000)])
-    assert numbers.std() == pytest.approx(1.0, abs=0.05)
-    for apart in (1, 2, 5):
-        together = (numbers[apart:] * numbers[:-apart]).mean()
-        assert together == pytest.approx(0.8**apart, abs=0.05)
-    # The numbers come in pieces; the first of each goes on from the last of the one before.
-    changes = np.abs(np.diff(numbers, axis=0)).mean(axis=1)
-    assert changes[1023::1024].mean() == pytest.approx(changes.mean(), rel=0.4)
-    with pytest.raises(ValueError, match="persistence is 1"):
-        EpisodeNoise(5, 1, persistence=1.0)
-
-
 def test_frames_of_another_size_than_announced_are_refused(path: Path) -> None:
     navigator = PolicyNavigator(OnnxPolicy(path), num_worlds=2)
     with pytest.raises(ValueError, match="the frame has 1 worlds, expected 2"):

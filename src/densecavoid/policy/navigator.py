@@ -19,7 +19,7 @@ from densecavoid.perception.predictor.contract import Predictor
 from densecavoid.perception.tracks import Tracks
 from densecavoid.policy.card import PolicyCard
 from densecavoid.policy.folder import open_folder
-from densecavoid.policy.noise import DRAWS_LAST, EpisodeNoise
+from densecavoid.policy.noise import EpisodeNoise
 from densecavoid.policy.runtime import POLICIES, OnnxPolicy
 from densecavoid.policy.sensors import mask_observation
 
@@ -94,8 +94,7 @@ class PolicyNavigator:
         self.observation: Observation | None = None
         """What it acted on last, in buffers that the next act writes again."""
         draws = policy.card.chooses if sample is None else sample
-        persistence = DRAWS_LAST if policy.card.chooses else 0.0
-        self._noise = EpisodeNoise(seed, num_worlds, persistence) if draws else None
+        self._noise = EpisodeNoise(seed, num_worlds) if draws else None
         self.noise: np.ndarray | None = None
         """What the last command was drawn with; none if it is the likeliest."""
 
