@@ -340,7 +340,7 @@ def _mark_ground(ground, kept, is_goal, around, b, lattice, rules):
 
 
 @inner
-def _mark_moment(risk, scratch, ground, k, time_s, around, b, lattice, rules):
+def _mark_moment(risk, scratch, ground, k, time_s, near_risk, around, b, lattice, rules):
     """Writes how likely a collision is in one world in each cell [X, Y] at a time, where the robot can be after moment
     k.
 
@@ -351,6 +351,7 @@ def _mark_moment(risk, scratch, ground, k, time_s, around, b, lattice, rules):
     Args:
         scratch: f32 [X, Y] room to work.
         ground: f32 [X, Y] 1 where a thing is, 0 elsewhere.
+        near_risk: up to so likely a collision is beside people, however steadily they walk.
     """
     first_i, last_i, first_j, last_j = lattice.boxes[k]
     box = scratch[first_i:last_i, first_j:last_j]
@@ -359,7 +360,7 @@ def _mark_moment(risk, scratch, ground, k, time_s, around, b, lattice, rules):
             box[i, j] = ground[first_i + i, first_j + j]
     at = lattice.x0 + first_i * rules.cell_m, lattice.y0 + first_j * rules.cell_m, rules.cell_m
     turned = 1.0 - math.exp(-around.turns_per_s[b] * time_s)
-    beside = rules.near_person_risk + rules.turned_risk * turned
+    beside = near_risk + rules.turned_risk * turned
     inside = max(1.0 - turned ** (1.0 / _MOMENTS_NEAR), beside)
     for p in range(around.there.shape[1]):
         if around.there[b, p]:
@@ -434,8 +435,8 @@ def worth_of_commands(first, last, shares, room, which, around, lattice, path, r
                 for n in range(many):
                     of_world = scratch, ground[n]
                     known = around, together[n], lattice, rules
-                    _mark_moment(risk[:, n::many], *of_world, k, k * rules.hold_s, *known)
-                    _mark_moment(halfway[:, n::many], *of_world, k + 1, (k + 0.5) * rules.hold_s, *known)
+                    _mark_moment(risk[:, n::many], *of_world, k, k * rules.hold_s, rules.near_person_risk, *known)
+                    _mark_moment(halfway[:, n::many], *of_world, k + 1, (k + 0.5) * rules.hold_s, 0.0, *known)
                 _one_moment_before(now, following, best, total, risk, halfway, kept, is_goal, k, lattice, rules, many)
                 following, now = now, following
             for n in range(many):
