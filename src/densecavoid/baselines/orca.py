@@ -210,5 +210,6 @@ class Orca:
         )
         velocity = np.zeros((frame.num_worlds, 2))
         points = self._scan.of(frame.scan_m, people)
-        choose_velocities(wish, own, *people, points, self._planes, limit, self._dt_s, sizes, config.people, velocity)
+        known = people.pos_r, people.vel_r, people.radius_m, people.there
+        choose_velocities(wish, own, *known, points, self._planes, limit, self._dt_s, sizes, config.people, velocity)
         return follow_velocity(velocity, bearing, self.robot, self._turning)

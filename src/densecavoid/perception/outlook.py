@@ -62,8 +62,8 @@ class OutlookConfig:
     near_person_risk: float = 0.035
     """and up to so likely a collision in each moment, less the farther away (squared)."""
     turned_risk: float = 0.15
-    """Likelier by so much beside somebody who has surely taken another course by then. As likely as that is, they are
-    less likely where they would be otherwise."""
+    """Likelier by so much, in each half moment, beside somebody who has surely taken another course by then. As likely
+    as that is, they are less likely where they would be otherwise."""
     turned_reach: float = 0.5
     """Of the way that they walk until then, by which what is beside them grows when they surely have."""
     near_thing_m: float = 0.25
