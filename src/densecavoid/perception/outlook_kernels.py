@@ -17,7 +17,7 @@ from densecavoid.sim._jit import inner, kernel
 _TAKEN = 1e3
 _ONE = np.float32(1.0)
 SIDE_BY_SIDE = 8  # worlds that are reckoned together: then loops are long enough, and values not yet out of the cache
-_SOON = 3  # moments; later there is no half speed: worths of commands hardly change, and take two thirds of the time
+_SOON = 3  # moments; later there is no half speed: six commands for nine, and worths hardly change
 _MOMENTS_NEAR = 3.0  # in which the robot is as near to the same person
 _BESIDE_PERSON_M, _BESIDE_THING_M = 0.1, 0.02  # so far beyond a collision a command that is held begins to cost
 _FARTHEST_M = 20.0  # a longer way counts so much: discounted, nothing is worth anything to who has far to go
