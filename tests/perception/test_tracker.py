@@ -343,6 +343,9 @@ def test_a_saved_tracker_goes_on_as_if_nothing_had_happened():
         np.testing.assert_array_equal(array, other.state_dict()[name], err_msg=name)
     with pytest.raises(ValueError, match="saved worlds"):
         Tracker(2).load_state_dict(one.state_dict())
+    older = {name: array for name, array in one.state_dict().items() if name != "watched_s"}
+    with pytest.raises(ValueError, match=r"lack is \['watched_s'\]"):
+        other.load_state_dict(older)
 
 
 @settings(max_examples=40, deadline=None)

@@ -363,8 +363,10 @@ class Tracker:
         """Goes on from a `state_dict` of as many worlds.
 
         Raises:
-            ValueError: if it is of another number of worlds.
+            ValueError: if it is of another number of worlds, or of a version that kept less.
         """
+        lacking = sorted(set(Tracks._fields) - set(arrays))
+        require(not lacking, "what the saved tracks lack", lacking, "nothing: they are of another version")
         saved = len(arrays["next_id"])
         require(saved == self._num_worlds, "saved worlds", saved, str(self._num_worlds))
         for name, array in self.tracks._asdict().items():
